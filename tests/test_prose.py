@@ -13,10 +13,10 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 #: Packages without an offence in their docstrings. Add a package when its docstrings are rewritten.
 CLEAN = (
     "geometry", "materials", "workbench", "workbench/acoustics", "workbench/app", "workbench/bench",
-    "workbench/campaign", "workbench/catalogue", "workbench/commands", "workbench/diagnosis", "workbench/fem",
-    "workbench/files", "workbench/fitting", "workbench/instruments", "workbench/jobs", "workbench/model",
-    "workbench/physics", "workbench/readers", "workbench/reduced", "workbench/render", "workbench/report",
-    "workbench/reproduction", "workbench/results", "workbench/search", "workbench/simulation",
+    "workbench/campaign", "workbench/catalogue", "workbench/commands", "workbench/design", "workbench/diagnosis",
+    "workbench/fem", "workbench/files", "workbench/fitting", "workbench/instruments", "workbench/jobs",
+    "workbench/model", "workbench/physics", "workbench/readers", "workbench/reduced", "workbench/render",
+    "workbench/report", "workbench/reproduction", "workbench/results", "workbench/search", "workbench/simulation",
 )
 #: Packages whose strings are names of effects, keys of records or parts of a page, beside messages.
 WITH_NAMES = {"workbench/app", "workbench/catalogue", "workbench/readers", "workbench/report"}

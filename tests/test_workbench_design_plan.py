@@ -237,7 +237,7 @@ MISTAKES = {
                         '"substrate.radius" = { from = "2.6 mm", to = "3.5 mm", points = 2 }', "vary.substrate.radius",
                         "that cavity.radius reaches"),
     "a material of one state alone": (HEAD, '[vary]\n"water.sound_speed" = { tolerance = "1 %", points = 2 }',
-                                      "vary.water.sound_speed", "a study of its own"),
+                                      "vary.water.sound_speed", "its own study"),
     "a material mistyped": (HEAD, '[vary]\n"superstrate.material" = { materials = ["pla", "pma"] }',
                             "vary.superstrate.material.materials[1]", "pmma"),
     "a material twice": (HEAD, '[vary]\n"superstrate.material" = { materials = ["pla", "pla"] }',

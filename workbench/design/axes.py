@@ -1,9 +1,14 @@
-"""The variables of a study as its file states them: numbers within ranges or of a list, and materials as alternatives.
+"""Reads the variables of a study: ranges, lists and alternative materials.
 
-[vary] "substrate.thickness" = { from = "0.7 mm", to = "1.0 mm", points = 5 } "couplant.thickness" = { values = ["10
-um", "20 um", "50 um"] } "sidewall.thickness" = { tolerance = true }          # that of the chip file "cavity.radius" =
-{ tolerance = "50 um" }            # to both sides of what the chip file says; or "2 %" "pla/acevedo_2026.shear_modulus"
-= { tolerance = "10 %" } "superstrate.material" = { materials = ["soda_lime_glass", "borosilicate_glass"] }
+They are the table [vary] of a study's file::
+
+    [vary]
+    "substrate.thickness" = { from = "0.7 mm", to = "1.0 mm", points = 5 }
+    "couplant.thickness" = { values = ["10 um", "20 um", "50 um"] }
+    "sidewall.thickness" = { tolerance = true }          # the tolerance of the chip file
+    "cavity.radius" = { tolerance = "50 um" }            # to both sides of the chip file's value; or "2 %"
+    "pla/acevedo_2026.shear_modulus" = { tolerance = "10 %" }
+    "superstrate.material" = { materials = ["soda_lime_glass", "borosilicate_glass"] }
 """
 
 from __future__ import annotations
@@ -32,19 +37,21 @@ from workbench.model.problem import fill
 Real = NDArray[np.float64]
 
 _KEYS = ("from", "to", "points", "values", "tolerance", "materials")
-#: Keys that no others of a range go with, in words.
+#: Keys that exclude the other keys of a range, in words.
 _RIVALS = {"values": "values, or a range", "tolerance": "a tolerance, or from and to"}
-_EXAMPLE = ('{ from = ..., to = ... }, { values = [...] }, { tolerance = ... } or, for what fills a region, '
+_EXAMPLE = ('{ from = ..., to = ... }, { values = [...] }, { tolerance = ... } or, for the material of a region, '
             '{ materials = [...] }')
 
 
 def read_axes(table: FileTable, chip: Chip, states: Sequence[str], registry: Registry, *,
               method: str) -> tuple[Variable, ...]:
-    """The variables of the table [vary], of a chip in those `states`; `method` is that of the sample.
+    """Read the variables of the table [vary] of a chip in `states`.
+
+    `method` is the sampling method of the study.
 
     Raises:
-        InputError: a name that nothing has, a range that is none, that loses a tolerance nobody stated or that passes
-            a neighbouring radius, a material that is unknown or that a state cannot hold.
+        InputError: an unknown name; an invalid range, or one that passes a neighbouring radius; a tolerance that is not
+            stated; a material that is unknown or that a state cannot contain.
     """
     entries = {name: FileTable.of(value, source=table.source, field=table.at(name), expected=_EXAMPLE).only(_KEYS)
                for name, value in flat_entries(table.content)}
@@ -79,7 +86,10 @@ def _check_points(entry: FileTable, method: str, *, ranged: bool) -> None:
 def _numbers(
     chip: Chip, states: Sequence[str], choices: Sequence[MaterialChoice], registry: Registry
 ) -> tuple[dict[str, list[Number]], set[str]]:
-    """The numbers by name that a chip has in all its states with all alternatives, and the names that only some have.
+    """The numbers of a chip, and the names not always present.
+
+    Each name has its numbers in all states with all alternatives. The second result has the names that only some of
+    these have.
     """
     found: list[dict[str, Number]] = []
     for state, *chosen in product(states, *(axis.materials for axis in choices)):
@@ -95,12 +105,12 @@ def _number_axis(
     written: str, entry: FileTable, chip: Chip, common: Mapping[str, Sequence[Number]], others: Collection[str]
 ) -> VariedNumber:
     owners = {ParameterName.parse(name).owner for name in {*common, *others}}
-    # ``pla/acevedo_2026.density`` for ``pla.density``, where that is the only material of that name.
+    # ``pla.density`` means ``pla/acevedo_2026.density`` if that is the only material of that name.
     full = full_names(written, (owner for owner in owners if "/" in owner))
     name = full[0] if len(full) == 1 else written
     if name in others:
         raise InputError(entry.source, entry.field, written, "a number of a material that every state and every "
-                         "alternative holds; what only some of them hold asks for a study of its own")
+                         "alternative contains; a material that only some of them contain needs its own study")
     if name not in common:
         shown = [known for known in common if not known.endswith(".loss")]
         raise InputError(entry.source, entry.field, written, "a length that the spectrum feels or a material's "
@@ -126,7 +136,7 @@ def _number_axis(
 
 def _quantity(entry: FileTable, key: str, name: str) -> float:
     dimension = ParameterName.parse(name).quantity
-    entry.required(key, f"a {dimension} with its unit; what varies is given as {_EXAMPLE}")
+    entry.required(key, f"a {dimension} with its unit; a variable is given as {_EXAMPLE}")
     return entry.quantity(key, dimension)
 
 
@@ -138,12 +148,12 @@ def _values(entry: FileTable, name: str) -> tuple[float, ...]:
     found = tuple(parse_quantity(text, dimension, source=entry.source, field=f"{entry.at('values')}[{index}]")
                   for index, text in enumerate(listed))
     if len(set(found)) < 2:
-        raise entry.error("values", "two different values at least; what stays the same belongs in the chip file")
+        raise entry.error("values", "at least two different values; a constant belongs in the chip file")
     return found
 
 
 def _tolerance(name: str, entry: FileTable, numbers: Sequence[Number]) -> tuple[float, float]:
-    """The ends of the range that a tolerance leaves about the number of the chip file or the material."""
+    """The range that a tolerance gives around the nominal number."""
     value, stated = numbers[0].value, entry.content["tolerance"]
     if any(each.value != value for each in numbers):
         raise entry.error("tolerance", f"from and to: {name} is not the same number in all states")
@@ -164,7 +174,10 @@ def _tolerance(name: str, entry: FileTable, numbers: Sequence[Number]) -> tuple[
 
 
 def _check_lengths(chip: Chip, axes: Sequence[VariedNumber], table: FileTable) -> None:
-    """Lengths are above zero, no radius passes another one, and of radii that coincide one varies."""
+    """Check that lengths are positive and radii keep their order.
+
+    Only one of several radii that coincide may vary.
+    """
     first = canonical_names(chip)
     base = centred_in_ranges(chip, axes, table)
     radii: dict[str, VariedNumber] = {}
@@ -194,7 +207,7 @@ def _check_lengths(chip: Chip, axes: Sequence[VariedNumber], table: FileTable) -
 
 
 def centred_in_ranges(chip: Chip, axes: Sequence[VariedNumber], table: FileTable | None = None) -> Chip:
-    """The chip with each length outside its range set to the middle of the range."""
+    """The chip with lengths outside their ranges moved to the middle."""
     known, first = chip.dimensions(), canonical_names(chip)
     moved = {axis.name: 0.5 * (axis.low + axis.high) for axis in axes
              if axis.name in known and not axis.low <= known[axis.name].value <= axis.high}
@@ -217,7 +230,7 @@ def _choice(name: str, entry: FileTable, chip: Chip, states: Sequence[str], regi
     region, regions = name.removesuffix(MATERIAL), chip.regions
     if not name.endswith(MATERIAL) or region not in regions:
         known = [f"{each}{MATERIAL}" for each in regions]
-        raise InputError(entry.source, entry.field, name, f"what fills a region: {', '.join(known)}",
+        raise InputError(entry.source, entry.field, name, f"the material of a region: {', '.join(known)}",
                          nearest_names(name, known))
     if "materials" not in entry:
         raise InputError(entry.source, entry.field, dict(entry.content), "{ materials = [...] }, names of materials")
@@ -235,7 +248,10 @@ def _choice(name: str, entry: FileTable, chip: Chip, states: Sequence[str], regi
 
 
 def with_materials(chip: Chip, chosen: Mapping[str, str], registry: Registry) -> Chip:
-    """The chip with other materials by region, full names; one in place of another brings its own density."""
+    """The chip with other materials by region (full names).
+
+    A new material brings its own density.
+    """
     layers = tuple(
         replace(layer, material=name, density=layer.density if registry.find(layer.material)[0] == name else None)
         if (name := chosen.get(layer.region)) is not None else layer for layer in chip.layers)

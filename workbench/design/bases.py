@@ -1,11 +1,13 @@
-"""The bases that figures are computed on: one for the states a chip is driven in, one to find these.
+"""Reduced bases for figures: one for driven states, one for finding resonances.
 
-A spectrum needs all that resonates in its band; figures need the states about one resonance, wherever in the ranges
-that is. These lie in a far smaller space (on the reference chip, six lengths within 5 %, some 120 vectors in place of
-334), and where the deepest resonance is, a rough spectrum tells. So full solves are spent where chips are driven: a
-rough range model says where that is at points spread over the ranges, the full model is solved and linearised there,
-and what the states and their derivatives span is kept (proper orthogonal decomposition in the norm of the energy).
-Further full solves check it; where they find it wanting they join it.
+A spectrum needs every resonance of its band. Figures need only the states near one resonance, for all points of the
+ranges. These span a far smaller space: on the reference chip, with six lengths within 5 %, some 120 vectors in place of
+334. A rough spectrum is enough to locate the deepest resonance, so full solves are spent near it:
+
+1. A rough range model locates the resonance at points spread over the ranges.
+2. The full model is solved and linearised there.
+3. The span of the states and their derivatives is the basis (proper orthogonal decomposition in the energy norm).
+4. Further full solves check it. Those with too large an error are added to the basis.
 """
 
 from __future__ import annotations
@@ -41,29 +43,31 @@ from workbench.reduced.ranges import RangeModel, Ranges, range_keys
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Points of the ranges that the full model is first solved at, for each parameter and at least, and points by which the
-#: basis is checked in a round.
+#: Points of the first full solves, per parameter and at least; and points that check the basis in each round.
 TAKEN, LEAST, CHECKED = 3, 10, 4
 #: Most rounds of further points.
 ROUNDS = 8
-#: Points of the ranges that the rough spectrum is made for, for each parameter and at least.
+#: Points at which the rough spectrum is made, per parameter and at least.
 SWEPT, FEWEST = 5, 16
-#: Relative error of |Z| that is left to the rough spectrum: two resonances whose depths differ less may be confused.
+#: Relative error of |Z| of the rough spectrum: two resonances whose depths differ less may be confused.
 ROUGH = 0.03
 #: Part of the level below which a peak of the energy is too low to be the largest one: a tenth of its energy.
 DEEP = 0.5 * float(np.log(10.0))
 #: Points of the rough spectrum for the half-power width of the narrowest resonance met.
 ACROSS = 3
-#: A basis that is not as good as asked for keeps directions smaller by this.
+#: Factor on the smallest direction that a basis keeps, for each attempt at a smaller error.
 FINER = 0.5
-#: The states' first-order change by a parameter is taken over this part of its range: from there on other points count.
+#: Part of a parameter's range for the states' first-order change: beyond it, other points contribute.
 REACH = 0.25
-#: The pressure is first order in what a basis leaves out, Z is second order: so many times the tolerance of Z is left.
+#: Tolerance of the pressure over that of Z: the pressure is first order in the error of the basis, Z second order.
 OF_PRESSURE = 5.0
 
 
 class NotConfirmed(RuntimeError):
-    """A design model that full solves did not confirm. Carries the relative errors of Z and of the pressure."""
+    """Raised when full solves do not confirm a design model.
+
+    It carries the relative errors of Z and of the pressure.
+    """
 
     def __init__(self, error: float, pressure_error: float, tolerance: float) -> None:
         super().__init__(f"after {ROUNDS} rounds of full solves the design model is off by {100.0 * error:.2g} % in Z "
@@ -77,13 +81,13 @@ class NotConfirmed(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class Bases:
-    """Reduced operators of the states a chip is driven in, ``operating``, and of the rough spectrum, ``sweeping`` at
-    ``frequency`` (n,) Hz.
+    """Reduced operators of the driven states and of the rough spectrum.
 
-    ``sketch`` is what errors are estimated with; ``rows`` (n, m, r) the pressure at the cavity's nodes, None without a
-    cavity; ``sound`` and ``sweeping_sound`` the energy in the cavity of both, None without a fluid. ``error`` and
-    ``pressure_error`` are the largest relative errors of Z and of the pressure's root mean square where the chip is
-    driven that full solves have found.
+    ``operating`` is for the driven states, ``sweeping`` for the rough spectrum at ``frequency`` (n,) Hz. ``sketch``
+    serves to estimate errors. ``rows`` (n, m, r) give the pressure at the cavity's nodes, None without a cavity.
+    ``sound`` and ``sweeping_sound`` are the energy in the cavity on either basis, None without a fluid. ``error`` and
+    ``pressure_error`` are the largest relative errors of Z and of the pressure's root mean square that full solves
+    found in driven states.
     """
 
     operating: ReducedOperators
@@ -97,7 +101,10 @@ class Bases:
     sweeping_sound: SoundEnergy | None = None
 
     def arrays(self) -> dict[str, Real]:
-        """The arrays that full solves gave; :func:`stored_bases` makes the rest again from the problem."""
+        """The arrays that need full solves.
+
+        :func:`stored_bases` restores the rest from the problem.
+        """
         found = {"operating": self.operating.matrices, "sketch": self.sketch, "sweeping": self.sweeping.matrices,
                  "frequency": self.frequency, "errors": np.array([self.error, self.pressure_error])}
         sounds = {"sound": self.sound, "sweeping_sound": self.sweeping_sound}
@@ -106,19 +113,21 @@ class Bases:
             and isinstance(each.operators, ReducedOperators)}}
 
     def pressure(self, states: Complex) -> Complex:
-        """At the cavity's nodes (n, m, k), of reduced states (r, k)."""
+        """The nodal pressure (n, m, k) of reduced states (r, k)."""
         assert self.rows is not None
         return np.asarray(self.rows @ states.real + 1j * (self.rows @ states.imag))
 
     def estimate(self, solution: Solution) -> float:
-        """Estimated relative error of Z of a state at one frequency."""
+        """The estimated relative error of Z of a state at one frequency."""
         return float(sketched_error(self.operating, self.sketch, solution)[0])
 
 
 def stored_bases(
     arrays: Mapping[str, Real], problem: Problem, operators: FullOperators, ranges: Ranges, *, by_place: bool,
 ) -> Bases:
-    """The bases with these :meth:`Bases.arrays`, on the full `operators` of the problem they were made for.
+    """Restore bases from their :meth:`Bases.arrays`.
+
+    `operators` are the full ones of the problem that the bases were made for.
 
     Raises:
         KeyError: an array is missing.
@@ -139,8 +148,11 @@ def stored_bases(
 
 @dataclass(frozen=True, eq=False)
 class _Sample:
-    """The rough spectrum at one point: ``values`` there, its ``sweep``, the ``level`` of each response over it, the
-    frequencies the chip is ``driven`` at and the least half-power ``width`` of the resonances there (Hz)."""
+    """The rough spectrum at one point of the ranges.
+
+    ``values`` are the parameters there, ``sweep`` is the spectrum and ``level`` each response over it. The chip is
+    ``driven`` at these frequencies (Hz); ``width`` (Hz) is the smallest half-power width of its resonances.
+    """
 
     values: Values
     sweep: Solution
@@ -153,14 +165,14 @@ def bases_of(
     made: RangeModel, responses: Sequence[ResonantQuantity], stated: float | None, cavity: Cavity | None, *,
     tolerance: float, by_place: bool, seed: int, progress: Progress = no_progress,
 ) -> Bases:
-    """The bases for the problem of a range model.
+    """Make the bases for the problem of a range model.
 
     Args:
         responses: those at whose resonances states are needed.
         stated: a further frequency (Hz) of states.
         cavity: that of the figures, None if there is none.
-        tolerance: relative error of Z where the chip is driven; the pressure's is :data:`OF_PRESSURE` times as much.
-        by_place: whether the operators are to know where losses are.
+        tolerance: relative error of Z in driven states; the pressure's is :data:`OF_PRESSURE` times as much.
+        by_place: whether the operators keep losses apart by place.
 
     Raises:
         InputError: nothing resonates in the band.
@@ -214,7 +226,7 @@ def _sampled(
     values = placed(made.problem.values, dict(zip(made.ranges, map(float, point), strict=True)))
     system = ReducedSystem(made.compact.operators, values)
     sweep, model = system.sweep(made.frequency), Responding(system, values, sound)
-    # The impedance's resonance counts where nothing is followed, too.
+    # The impedance's resonance counts even if no resonance is followed.
     level = {each: each.sampled(model, sweep) for each in responses or (Impedance(),)}
     lowest = [int(np.argmin(each)) if (index := response.deepest(each)) is None else index
               for response, each in level.items()]
@@ -225,7 +237,10 @@ def _sampled(
 
 
 def _width(frequency: Real, level: Real, lowest: int) -> float:
-    """About the half-power width (Hz) of the resonance at an index; to the ends of the band where it goes on."""
+    """The approximate half-power width (Hz) of the resonance at an index.
+
+    A resonance that extends past the band ends at the band's edge.
+    """
     high = np.flatnonzero(level >= level[lowest] + HALF)
     below, above = high[high < lowest], high[high > lowest]
     return float(frequency[above[0] if above.size else -1] - frequency[below[-1] if below.size else 0])
@@ -234,8 +249,11 @@ def _width(frequency: Real, level: Real, lowest: int) -> float:
 def _columns(
     made: RangeModel, sample: _Sample, driven: float, names: tuple[str, ...], moves: Real, width: float
 ) -> Complex:
-    """The full state (size, n) at a point and what moves of frequency and parameters change it by, over the root of
-    the charge."""
+    """The full state at a point and its changes, columns (size, n).
+
+    The changes are by the half-power `width` in frequency and by `moves` in the parameters, to first order. All columns
+    are divided by the root of the charge.
+    """
     found = FullSystem(made.reduced.full, sample.values).linearised(driven, names)
     moved = np.column_stack([width * found.by_frequency, found.by_parameter * moves])
     return np.column_stack([found.state, moved]) / np.sqrt(abs(found.charge))
@@ -245,8 +263,10 @@ def _sweeping(
     model: ReducedModel, taken: Sequence[_Sample], checked: Sequence[_Sample],
     sound_of: Callable[[ReducedModel], SoundEnergy | None],
 ) -> ReducedModel:
-    """The model of the rough spectrum: as few vectors as leave :data:`ROUGH` of each level at points not used for
-    them, where it is within :data:`DEEP` of its least."""
+    """The model of the rough spectrum, with as few vectors as possible.
+
+    Its error is at most :data:`ROUGH` in each level at the points `checked`, within :data:`DEEP` of the smallest level.
+    """
     states = np.concatenate([each.sweep.states / np.sqrt(np.abs(each.sweep.charge)) for each in taken], axis=1)
     whole = model.truncated(states, 0.0)
     if not whole.sizes.size:
@@ -262,7 +282,7 @@ def _sweeping(
 
 
 def _off(model: ReducedModel, checked: Sequence[_Sample], sound: SoundEnergy | None) -> float:
-    """The largest difference of a level of a rough `model` at some points."""
+    """The largest error in any level of a rough `model`."""
     off = 0.0
     for each in checked:
         system = ReducedSystem(model.operators, each.values)
@@ -278,7 +298,10 @@ def _errors(
     operating: ReducedModel, cavity: Cavity | None, whole: SoundEnergy | None, samples: Sequence[_Sample],
     fulls: Sequence[LinearisedState],
 ) -> tuple[float, float]:
-    """The largest relative errors of Z and of the pressure (root mean square) against full states."""
+    """The largest relative errors of Z and pressure against full states.
+
+    The pressure is compared as a root mean square.
+    """
     rows = None if cavity is None else cavity.pressure_rows(operating.basis)
     energy = None if whole is None else whole.on(operating.basis)
     errors, pressures = [0.0], [0.0]

@@ -1,4 +1,4 @@
-"""A chip that a search proposes, the bounds that hold it where it is, and the verdict of a full solve."""
+"""A proposed chip, its active bounds, and a full solve's verdict."""
 
 from __future__ import annotations
 
@@ -28,8 +28,11 @@ ROUNDED = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Active:
-    """A bound, or an end of a range, that holds an optimum: its ``text``, and the objective's relative gain for every
-    ``step`` (a text with its unit) that it is moved outwards."""
+    """An active bound, or end of a range, at an optimum.
+
+    ``text`` is the bound. ``gain`` is the relative gain of the objective for every ``step`` (a text with its unit) that
+    the bound moves outwards.
+    """
 
     text: str
     step: str
@@ -40,9 +43,9 @@ class Active:
 class RoundedDesign:
     """A chip with its lengths rounded to their grids.
 
-    ``selection`` of stock and materials; ``lengths`` (m) of all variables; ``point`` on the model, under the first
-    objective, and ``objectives`` (k,) under all; ``optimum`` before rounding, None on a front;
-    ``active`` are the bounds that hold it.
+    ``selection`` has the stock lengths and materials, ``lengths`` (m) those of all variables. ``point`` is on the
+    model, under the first objective; ``objectives`` (k,) are the values of all. ``optimum`` is the one before rounding,
+    None on a front. ``active`` are its active bounds.
     """
 
     selection: Selection
@@ -56,22 +59,23 @@ class RoundedDesign:
 
     @property
     def holds(self) -> bool:
-        """Whether it keeps all bounds, as far as rounded lengths can."""
+        """Whether it satisfies all bounds, within the tolerance of rounding."""
         return self.point.violation <= ROUNDED
 
     @property
     def broken(self) -> tuple[str, ...]:
-        """The texts of the bounds that it does not keep."""
+        """The texts of the bounds that it violates."""
         return tuple(dict.fromkeys(bound.text for bound, margin in zip(self.bounds, self.point.margins, strict=True)
                                    if not margin >= -ROUNDED))
 
 
 @dataclass(frozen=True, eq=False)
 class Confirmed:
-    """A candidate and its figures ``after`` a full solve on its own mesh.
+    """A candidate and its figures ``after`` a full solve.
 
-    ``differences`` from the model, by figure, relative to the figure or to the scale of its bound; ``accepted`` if none
-    is above :data:`CONFIRMED` and all bounds hold; the ``statement`` says so in words.
+    The full solve is on the chip's own mesh. ``differences`` are those between model and full solve, by figure,
+    relative to the figure or to the scale of its bound. It is ``accepted`` if none is above :data:`CONFIRMED` and all
+    bounds are satisfied. ``statement`` is this verdict in words.
     """
 
     candidate: RoundedDesign
@@ -86,7 +90,7 @@ class Confirmed:
 
 
 def rounded_lengths(programme: NonlinearProgramme, descent: DesignDescent, evaluations: int) -> dict[str, float]:
-    """The lengths (m) of the variables at the end of a descent, on their steps."""
+    """The lengths (m) at a descent's end, rounded to their steps."""
     held, descent = round_to_grid(programme, descent, evaluations=evaluations)
     return {**descent.point.lengths, **{each.name: each.round(descent.point.lengths[each.name])
                                         for each in held.variables}}
@@ -96,7 +100,10 @@ def proposed(
     goal: Goal, programme: NonlinearProgramme, lengths: Mapping[str, float], selection: Selection,
     optimum: Optimum | None = None,
 ) -> RoundedDesign:
-    """The chip of these `lengths` (m), one for each of the goal's unknowns, that the `optimum` was rounded to."""
+    """The chip with these `lengths` (m), one for each unknown.
+
+    `optimum` is the one that the lengths were rounded from.
+    """
     everything = {**selection.stock, **{each.name: lengths[each.name] for each in goal.unknowns}}
     chip = changed(goal.chip, everything, selection.materials, note=f"by {goal.source}")
     fixed, nothing = programme.holding(lengths), np.zeros(0)
@@ -109,11 +116,11 @@ def proposed(
 
 
 def active_bounds(goal: Goal, programme: NonlinearProgramme, found: Multipliers) -> tuple[Active, ...]:
-    """The bounds and ends of ranges that are active at an optimum, the one of largest gain first."""
+    """The active bounds and range ends at an optimum, largest gain first."""
     active = []
     for bound, gain in zip(programme.bounds, found.bounds, strict=True):
         if gain > 0.0:
-            # A hundredth of the scale in the unit of the bound; of two ends the text says which one is meant.
+            # A hundredth of the scale in the unit of the bound; of two ends the text names the active one.
             figure = None if bound.of_lengths else figure_named(bound.figure)
             factor, unit = (1e-6, "um") if figure is None else (figure.factor, figure.shown)
             which = f" ({'lower' if bound.above else 'upper'} end)" if "within" in bound.text else ""
@@ -132,15 +139,18 @@ def active_bounds(goal: Goal, programme: NonlinearProgramme, found: Multipliers)
 
 
 def _scale(goal: Goal, chip: Chip, name: str, otherwise: float) -> float:
-    """The scale of differences of a figure: of a place in the cavity the height of that, of other figures the smallest
-    scale of their bounds, or `otherwise`."""
+    """The scale for differences of a figure.
+
+    It is the cavity's height for a place in the cavity. For other figures it is the smallest scale of their bounds, or
+    `otherwise` if there is none.
+    """
     if name in SIGNED:
         return sum(hole.thickness.value for hole in chip.holes)
     return min((each.scale for each in goal.bounds if not each.of_lengths and each.figure == name), default=otherwise)
 
 
 def confirmed(goal: Goal, candidate: RoundedDesign, after: Evaluation) -> Confirmed:
-    """A candidate with the figures `after` a full solve, and the verdict on it."""
+    """Compare a candidate with its figures `after` a full solve."""
     nominal = candidate.point.evaluation.figures
     differences = {}
     for name in goal.figures:

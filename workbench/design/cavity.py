@@ -1,15 +1,16 @@
-"""The pressure in the cavity as one polynomial, and the potential, force and energy density that follow from it.
+"""The cavity's pressure as a polynomial, and the fields derived from it.
 
-A state of the model, full or reduced, gives the pressure on the nodes of the cavity. Sound there has no scale finer
-than its wavelength, so one polynomial over the whole cavity holds it:
+These are the potential, the radiation force and the energy density. A state of the model, full or reduced, gives the
+pressure at the nodes of the cavity. Sound there varies no faster than its wavelength, so one polynomial represents it
+over the whole cavity:
 
     p(r, z) = sum_kl C_kl P_k(s) P_l(t),   s = 2 xi^q - 1,   xi = (r - r_0) / R,   t = 2 z / H - 1
 
-with Legendre's P, z from the floor, H the height of the cavity. R is its radius, q = 2 and r_0 = 0, so that the field
-is even in r; in a straight section R is its width, r_0 = -R / 2 its left side and q = 1. Where half of that is meshed,
-the pressure is mirrored by its parity. Either way ds is in proportion to the volume. Squares of such fields are
-polynomials of twice the degree, known from their values on Gauss-Legendre points; minima, derivatives and integrals of
-these are exact. Lengths may move: at constant s and t the values change, and R and H with them.
+P are Legendre polynomials, z counts from the floor, H is the height of the cavity. About an axis, R is the radius,
+q = 2 and r_0 = 0, so that the field is even in r. In a straight section R is the width, r_0 = -R / 2 the left side and
+q = 1; if only half of it is meshed, the pressure is mirrored by its parity. Either way ds is proportional to the
+volume. Squares of such fields are polynomials of twice the degree, given by their values at Gauss-Legendre points.
+Their minima, derivatives and integrals are exact. Lengths may move: the values at constant s and t change, and R and H.
 """
 
 from __future__ import annotations
@@ -41,11 +42,11 @@ from workbench.model.particles import Particle, compressibility, viscous_scatter
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Degree in s and in t beyond half of the phase k R, or k H, across the cavity: from there on the coefficients of a
-#: wave fall faster than geometrically (Jacobi-Anger); ten leave 1e-7.
+#: Degree in s and in t beyond half of the phase k R, or k H, across the cavity: beyond it the coefficients of a wave
+#: fall faster than geometrically (Jacobi-Anger). With ten the residual is 1e-7.
 BEYOND = 10
 
-#: The fields that are squares of the pressure's, in this order.
+#: Indices of the quadratic fields of the pressure.
 POTENTIAL, SQUARE, ENERGY = range(3)
 
 
@@ -53,22 +54,23 @@ POTENTIAL, SQUARE, ENERGY = range(3)
 OF_FLUID = ("density", "sound_speed", "shear_viscosity")
 
 
-#: The scalars that squares of the pressure depend on besides, by name: ``frequency`` Hz, ``width`` (of a round cavity
+#: The scalars that these fields depend on too, by name: ``frequency`` Hz, ``width`` (of a round cavity
 #: its radius) and ``height`` m, and :data:`OF_FLUID` where known, in kg/m^3, m/s and Pa s.
 Surroundings = Mapping[str, Dual]
 
 
 class NoCavity(ValueError):
-    """A chip whose cavity has no field of the kind asked for."""
+    """Raised when the cavity has no field of the kind needed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cavity:
-    """The cavity of a chip: ``rows`` (n, m) of the unknown pressure at its nodes, -1 where it is zero, the places
-    ``r`` (n,) and ``z`` (m,) of these, z from the floor, what fills it, and the particle if there is one.
+    """The cavity of a chip: nodes, fluid and particle.
 
-    The places (m) are linear in ``lengths``, whose values are ``start`` (SI) at first; ``measure`` is that of the
-    section.
+    ``rows`` (n, m) index the unknown pressure at its nodes, -1 where the pressure is zero. The nodes are at ``r`` (n,)
+    and ``z`` (m,) in metres, z from the floor. ``fluid`` fills the cavity; ``particle`` is None if there is none. The
+    places are linear in ``lengths``, whose initial values are ``start`` (SI). ``wave_number`` (1/m) is the largest one.
+    ``measure`` is that of the section.
     """
 
     rows: NDArray[np.int64]
@@ -83,11 +85,16 @@ class Cavity:
 
     @cached_property
     def across(self) -> Dual:
-        """The places across the whole cavity: ``r``, in a straight section mirrored if half of it is meshed."""
+        """The places across the whole cavity.
+
+        They are ``r``, mirrored if only half of a straight section is meshed.
+        """
         return Dual(self.unfolded(self.r.value, -1), self.unfolded(self.r.gradient.T, -1).T)
 
     def lines(self, change: Real, moving: Real) -> tuple[Dual, Dual]:
-        """The places across and up after a `change` of ``lengths``, which have the derivatives `moving` (lengths, k).
+        """The places across and up after a `change` of ``lengths``.
+
+        `moving` (lengths, k) are the derivatives of the lengths.
         """
         across, up = (Dual(each.value + change @ each.gradient, moving.T @ each.gradient)
                       for each in (self.across, self.z))
@@ -95,11 +102,14 @@ class Cavity:
 
     @property
     def is_half(self) -> bool:
-        """Whether the other half of a straight section is a mirror image of what is meshed."""
+        """Whether only half of a symmetric straight section is meshed."""
         return isinstance(self.measure, Straight) and self.measure.mirror != 0
 
     def unfolded(self, values: Any, sign: int) -> Any:
-        """Values (n, ...) at the places of half a cavity, with `sign` times their mirror images before them."""
+        """Values (n, ...) over half a cavity, extended to the whole.
+
+        Their mirror images, multiplied by `sign`, come first.
+        """
         return np.concatenate([sign * values[:0:-1], values]) if self.is_half else values
 
     def change(self, values: Mapping[str, complex]) -> Real:
@@ -107,14 +117,14 @@ class Cavity:
         return np.array([complex(values[name]).real for name in self.lengths]) - self.start
 
     def pressure_rows(self, basis: Real) -> Real:
-        """The rows (n, m, r) of a basis (size, r) that give the pressure at the nodes."""
+        """The nodal pressure rows (n, m, r) of a basis (size, r)."""
         found = basis[self.rows]
         found[self.rows < 0] = 0.0
         return found
 
     @cached_property
     def polynomials(self) -> Polynomials:
-        """The polynomials for the cavity as it is on the mesh."""
+        """The polynomials for the cavity as meshed."""
         lines = self.across.value, self.z.value
         counts = [min(math.ceil(0.5 * self.wave_number * np.ptp(each)) + BEYOND, (2 * each.size) // 3)
                   for each in lines]
@@ -125,14 +135,15 @@ def cavity_of(
     operators: FullOperators, chip: Chip, fluid: Fluid, particle: Particle | None, lengths: Sequence[str],
     frequency: float,
 ) -> Cavity:
-    """The cavity of a chip on the mesh of `operators`; of the parameters `lengths` those that move it are taken.
+    """The cavity of a chip on the mesh of `operators`.
 
     Args:
+        lengths: parameters that the model varies.
         frequency: the highest one (Hz), for the degree of the polynomials.
 
     Raises:
-        NoCavity: holes of different radii, several channels or one off the middle, or a cavity that is no rectangle,
-            or does not stay one while the lengths move.
+        NoCavity: the holes have different radii, there are several channels or one off the middle, or the cavity is not
+            a rectangle or does not remain one when the lengths change.
     """
     holes = chip.holes
     if max(hole.inner_radius for hole in holes) - min(hole.inner_radius for hole in holes) > SAME_LENGTH:
@@ -172,22 +183,27 @@ def cavity_of(
 
 
 def _shaping(operators: FullOperators, lengths: Sequence[str]) -> list[str]:
-    """The parameters that deform cells of the cavity: its integrals are over variants of the mesh."""
+    """The parameters that deform the cavity's cells.
+
+    Integrals over variants of the mesh depend on them.
+    """
     found = {name for i in operators.integrals if i.variant and parent_place(i.place) == CAVITY
              for name in i.coefficient.parameters}
     return [length for length in lengths if length in found]
 
 
 def _interpolated(places: Real, breaks: Real, slopes: Real) -> Dual:
-    """Places between breaks that move by `slopes` (breaks, k)."""
+    """Places between breaks, with derivatives interpolated from `slopes` (breaks, k)."""
     return Dual(places, np.array([np.interp(places, breaks, each) for each in slopes.T]).reshape(-1, places.size))
 
 
 @dataclass(frozen=True, eq=False)
 class Polynomials:
-    """Constants of the transform that are equal for every pressure: values (points, k) of Legendre's polynomials and of
-    their first and second derivatives on the Gauss-Legendre points of s and of t, and the way back from values to
-    coefficients."""
+    """Constants of the polynomial transform, the same for every pressure.
+
+    ``s`` are the Gauss-Legendre points across. ``along_s`` and ``along_t`` are the values (points, k) of the Legendre
+    polynomials there and of their first and second derivatives. ``back`` transforms values to coefficients.
+    """
 
     s: Real
     along_s: tuple[Real, ...]
@@ -196,7 +212,7 @@ class Polynomials:
 
     @classmethod
     def of(cls, in_s: int, in_t: int) -> Polynomials:
-        """The polynomials for `count` coefficients of the pressure."""
+        """The polynomials for `in_s` times `in_t` coefficients of the pressure."""
         tables, points, back = [], [], []
         for count in (in_s, in_t):
             x, w = leggauss(2 * count - 1)
@@ -207,21 +223,25 @@ class Polynomials:
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Coefficients of the pressure in s and in t."""
+        """The numbers of coefficients of the pressure in s and in t."""
         return self.along_s[0].shape[1], self.along_t[0].shape[1]
 
     def coefficients(self, values: Real) -> Real:
-        """Coefficients in s and in t of fields (..., points in s, points in t)."""
+        """The coefficients in s and t of fields at the Gauss-Legendre points.
+
+        The fields are (..., points in s, points in t).
+        """
         return np.asarray(self.back[0] @ values @ self.back[1].T)
 
 
 @dataclass(frozen=True, eq=False)
 class CavityField:
-    """Squares of the pressure's fields at unit voltage, as polynomials.
+    """The quadratic fields of a pressure at unit voltage, as polynomials.
 
-    ``coefficients`` (f, n, m) of the potential (J), |p|^2 (Pa^2), the energy density (J/m^3) and the forces (N) in the
-    directions that particles focus in (`geometry.measure`), with derivatives at constant s and t; ``around`` the
-    scalars. ``unfitted`` is the largest part of the pressure that the polynomial leaves, relative to its largest value.
+    ``coefficients`` (f, n, m) are those of the potential (J), |p|^2 (Pa^2), the energy density (J/m^3) and the forces
+    (N) in the directions of focusing (`geometry.measure`), with derivatives at constant s and t. ``around`` are the
+    scalars they depend on. ``unfitted`` is the largest residual of the pressure's polynomial, relative to the largest
+    pressure.
     """
 
     cavity: Cavity
@@ -231,7 +251,10 @@ class CavityField:
 
     @property
     def mean_energy_density(self) -> Dual:
-        """Over the cavity's volume: the coefficient of P_0 P_0, since ds is in proportion to it."""
+        """The mean over the cavity's volume.
+
+        It is the coefficient of P_0 P_0, since ds is proportional to the volume.
+        """
         return self.coefficients[ENERGY, 0, 0]
 
 
@@ -267,7 +290,7 @@ def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Sur
     for k, each in enumerate(changes):
         length = np.linalg.norm(each)
         if length > 0.0:
-            # Of a quadratic form half the difference of its values on both sides is the derivative, exactly.
+            # Half the central difference is the exact derivative of a quadratic form.
             step = (size / length) * each
             both = squares(cavity, found + step, scalars) - squares(cavity, found - step, scalars)
             gradient[k] = (0.5 * length / size) * both
@@ -280,14 +303,19 @@ def cavity_field(cavity: Cavity, pressure: Complex, slopes: Complex, around: Sur
 
 
 def argument(xi: Real, power: int) -> tuple[Real, Real, Real]:
-    """The argument s = 2 xi^power - 1 of the polynomials at shares xi (n,) of the cavity, and its two derivatives by
-    these; for a power of 1 or 2 there is no third one."""
+    """The argument s = 2 xi^power - 1 and its two derivatives.
+
+    xi (n,) are shares of the cavity. A power of 1 or 2 has no third derivative.
+    """
     return (2.0 * xi**power - 1.0, 2.0 * power * xi ** (power - 1), np.full_like(xi, 2.0 * power * (power - 1)))
 
 
 def squares(cavity: Cavity, found: Complex, scalars: Mapping[str, float]) -> Real:
-    """Potential, |p|^2, energy density and the forces that focus (f, points in s, points in t) of the pressure with
-    coefficients `found`: quadratic in these, closed formulas of the scalars."""
+    """Potential, |p|^2, energy density and focusing forces of a pressure.
+
+    `found` are the pressure's coefficients. The result (f, points in s, points in t) is quadratic in these and a closed
+    formula of the scalars.
+    """
     polynomials = cavity.polynomials
     (s0, s1, s2), (t0, t1, t2) = polynomials.along_s, polynomials.along_t
     width, height, density = scalars["width"], scalars["height"], scalars["density"]
@@ -321,12 +349,12 @@ def squares(cavity: Cavity, found: Complex, scalars: Mapping[str, float]) -> Rea
 
 @lru_cache(maxsize=64)
 def _differentiation(count: int, order: int) -> Real:
-    """The derivatives of some order of P_0 ... P_(count - 1) in P_0 ... : (count - order, count)."""
+    """The matrix (count - order, count) that differentiates P_0 ... P_(count - 1) `order` times."""
     return np.asarray(legder(np.eye(count), order))
 
 
 def derivatives(x: Real, count: int, order: int) -> Real:
-    """The derivatives of some `order` of P_0 ... P_(count - 1) at x (n,): (n, count)."""
+    """The `order`-th derivatives (n, count) of P_0 ... P_(count - 1) at x (n,)."""
     if order >= count:
         return np.zeros((x.size, count))
     values = eval_legendre(np.arange(count - order), x[:, None])
@@ -334,6 +362,6 @@ def derivatives(x: Real, count: int, order: int) -> Real:
 
 
 def legendre_polynomials(x: Real, count: int) -> Real:
-    """P_0 ... P_(count - 1) at x (n,) with their first three derivatives: (4, n, count)."""
+    """P_0 ... P_(count - 1) at x (n,) and three derivatives: (4, n, count)."""
     values = derivatives(x, count, 0)
     return np.stack([values, *(values[:, : count - order] @ _differentiation(count, order) for order in (1, 2, 3))])

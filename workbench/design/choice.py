@@ -1,5 +1,8 @@
-"""The search of one choice of stock lengths and materials: models about the best point, starts on them, and their ends
-rounded to the grids of the lengths."""
+"""The search for the best chip of one choice.
+
+A choice is one combination of stock lengths and materials. Models are made around the best point so far, descents start
+on them, and their ends are rounded to the grids of the lengths.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +21,10 @@ from workbench.design.search import Attempt, Optimum, front, optima, search_all
 from workbench.design.variables import Selection, changed
 from workbench.jobs.workers import Workers
 
-#: Called with a chip that is not confirmed and its point on the model, as each is found.
+#: Called with each chip that is found but not confirmed, and its point on the model.
 Keep = Callable[[Chip, ProgrammePoint], object]
 
-#: Distinct optima of a choice from which a robust one is looked for.
+#: Distinct nominal optima of a choice from which robust descents start.
 RUNNERS_UP = 3
 
 
@@ -29,10 +32,10 @@ RUNNERS_UP = 3
 class ChoiceResult:
     """The result of the search of one choice.
 
-    ``modelling`` is the last model, and ``models`` how many there were; ``attempts`` the starts on it (none for a front
-    or without slopes) and ``optima`` their distinct ends, best first; ``candidates`` rounded chips, best first;
-    ``front`` those between two objectives. ``open_sides`` are the lengths at whose end of the last model the optimum
-    still lies, since no more models were allowed.
+    ``modelling`` is the last of ``models`` models. ``attempts`` are the starts on it (none for a front or without
+    gradients) and ``optima`` their distinct ends, best first. ``candidates`` are rounded chips, best first; ``front``
+    those between two objectives. ``open_sides`` are the lengths whose optimum still lies at an end of the last model,
+    because no more models were allowed.
     """
 
     selection: Selection
@@ -52,9 +55,10 @@ class ChoiceResult:
 
 @dataclass(frozen=True, eq=False)
 class ChoiceSearch:
-    """The search of one choice: its ``goal`` and ``selection``, the ``solver`` of its models, and the ``workers``.
+    """The search of one choice, called without arguments.
 
-    ``say`` is called with progress, ``keep`` with chips that are not confirmed.
+    It has the ``goal``, the ``selection``, the ``solver`` of its models, the ``scenarios`` of a robust goal and the
+    ``workers``. It calls ``say`` with progress and ``keep`` with chips that are not confirmed.
     """
 
     goal: Goal
@@ -66,10 +70,10 @@ class ChoiceSearch:
     keep: Keep | None = None
 
     def __call__(self) -> ChoiceResult:
-        """The best chips of the choice.
+        """Find the best chips of the choice.
 
         Raises:
-            NotCovered: no model of the lengths is good enough, however narrow.
+            NotCovered: no model of the lengths is accurate enough, however narrow.
         """
         goal, stock = self.goal, self.stock
         about, half_widths = present_of(goal), half_widths_of(goal)
@@ -77,7 +81,7 @@ class ChoiceSearch:
         attempts: list[Attempt] = []
         for models in range(1, goal.search.moves + 2):
             modelling = modelled(goal, self.selection, about, half_widths, self.solver, self.say, self.scenarios)
-            # The search is on the nominal chip, but for a front and for tolerances.
+            # The search is on the nominal chip, except for a front and for tolerances.
             nominal = modelling.programme
             programme = replace(nominal, scenarios=self.scenarios)
             if not goal.unknowns:
@@ -110,7 +114,10 @@ class ChoiceSearch:
 
     @property
     def stock(self) -> list[dict[str, float]]:
-        """Every combination of the stock lengths (m) that one model covers; one empty combination if there are none."""
+        """Every combination of the stock lengths (m) that one model covers.
+
+        Without stock lengths there is one empty combination.
+        """
         stock = self.goal.stock if self.goal.search.evolutionary else ()
         return [dict(zip((each.name for each in stock), values, strict=True))
                 for values in product(*(each.values for each in stock))]
@@ -120,7 +127,7 @@ class ChoiceSearch:
         self._kept(one.best.point)
 
     def _kept(self, point: ProgrammePoint) -> None:
-        """Hand the chip of a point over, as one that is not confirmed."""
+        """Pass the chip of a point to ``keep``, as one not confirmed."""
         if self.keep is not None:
             self.keep(changed(self.goal.chip, {**self.selection.stock, **point.lengths}, self.selection.materials,
                               note=f"by {self.goal.source}, not confirmed"), point)
@@ -131,7 +138,7 @@ class ChoiceSearch:
         return programme.holding({each.name: optimum.point.lengths[each.name] for each in stock})
 
     def _robust(self, programme: NonlinearProgramme, ends: Sequence[Optimum]) -> list[Optimum]:
-        """The optima over the scenarios, from the best nominal ones."""
+        """The optima over the scenarios, from descents that start at nominal ones."""
         found, chosen = [], ends[:RUNNERS_UP]
         for index, each in enumerate(chosen):
             self.say("robust", index / len(chosen))
@@ -143,7 +150,8 @@ class ChoiceSearch:
     def _on_steps(self, programme: NonlinearProgramme, ends: Sequence[Optimum]) -> tuple[RoundedDesign, ...]:
         """The optima with their lengths rounded to their grids, best first.
 
-        An optimum is better than any chip rounded from it, so one that is worse than a chip that was found is left out.
+        An optimum is better than any chip rounded from it. An optimum worse than a chip already rounded is therefore
+        skipped.
         """
         found: list[RoundedDesign] = []
         for index, each in enumerate(ends):
@@ -163,7 +171,7 @@ class ChoiceSearch:
             yield proposed(self.goal, programme, rounded_lengths(each, descent, search.evaluations), self.selection)
 
     def _evolved(self, programme: NonlinearProgramme) -> Iterator[RoundedDesign]:
-        """The chip of the largest tolerances, found without slopes."""
+        """The chip of the largest tolerances, found without gradients."""
         search, present = self.goal.search, programme.unknowns(present_of(self.goal))
         point = evolve(programme, present, population=search.population, generations=search.generations,
                        seed=search.seed, say=partial(self.say, "generations"))

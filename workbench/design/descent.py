@@ -1,5 +1,8 @@
-"""A descent from one start: sequential quadratic programming with exact derivatives (SLSQP: Kraft 1988, DFVLR-FB 88-28,
-of scipy), and the active bounds at its end. An objective without slopes has differential evolution instead."""
+"""A descent from one start, with exact derivatives, and its active bounds.
+
+It is sequential quadratic programming (SLSQP of scipy: Kraft 1988, DFVLR-FB 88-28). Objectives without gradients use
+differential evolution instead.
+"""
 
 from __future__ import annotations
 
@@ -20,44 +23,45 @@ Real = NDArray[np.float64]
 #: Change of the objective (natural logarithm of the figure) below which a descent has ended.
 CONVERGED = 1e-6
 
-#: Derivative of the objective over the whole range of an unknown that a stationary point may be left with. Doubled,
+#: Largest residual derivative of the objective, over the whole range of an unknown, at a stationary point. Doubled,
 #: ends would differ by twice as much in a flat valley.
 STATIONARY = 1e-3
 
 #: A margin (in scales), or a distance to the end of a range (in ranges), below which a bound is active.
 ACTIVE = 1e-4
 
-#: Where a descent gets stuck, as where the resonance changes to another one, it goes on within a box around the best
-#: point, whose half-width (in ranges) shrinks by this factor from the whole range down to the last one.
+#: A descent that gets stuck, as when the resonance changes to another one, continues within a box around the best
+#: point. The half-width of the box (in ranges) shrinks by the first number, from the whole range down to the second.
 SHRINKING, SMALLEST = 0.25, 0.02
 
-#: Times that it goes on without finding anything better.
+#: Most such rounds in a row without a better point.
 STALLED = 2
 
 #: Excess of a point without figures over the worst point known, in units of the objective.
 PENALTY = 1.0
 
-#: Objective of points that break a bound, less their violation: the logarithm of a figure is far below.
+#: Offset of the objective of infeasible points, to which their violation adds: logarithms of figures are far below.
 BROKEN = 1e3
 
-#: Most combinations of rounding up and down that are tried; with more stepped lengths, those that matter least to the
-#: objective are rounded to the nearest step at first.
+#: Most combinations of rounding up and down that are tried; with more stepped lengths, those with the least effect on
+#: the objective are rounded to the nearest step at first.
 CORNERS = 16
 
-#: Evaluations without anything better after which a round ends: a line search takes ten at most.
+#: Evaluations without a better point after which a round ends: a line search takes ten at most.
 PATIENCE = 12
 
 
 class _Ended(Exception):
-    """The evaluations of a descent are used up, or a round stopped improving."""
+    """Raised when a descent has used its evaluations or stopped improving."""
 
 
 @dataclass(frozen=True, eq=False)
 class Multipliers:
-    """The gain of a small step past each bound: the fall of the objective per scale, or per range.
+    """The gain of a small step past each bound.
 
-    ``bounds`` (m,) of the bounds; ``low`` and ``high`` (n,) of the ends of the ranges, zero where not active;
-    ``residual`` the largest derivative (per range) that they leave: a stationary point has none.
+    The gain is the decrease of the objective per scale of a bound, or per range of a variable. ``bounds`` (m,) are
+    those of the bounds; ``low`` and ``high`` (n,) those of the ends of the ranges, zero where not active. ``residual``
+    is the largest derivative (per range) not balanced by them: zero at a stationary point.
     """
 
     bounds: Real
@@ -68,7 +72,10 @@ class Multipliers:
 
 @dataclass(frozen=True, eq=False)
 class DesignDescent:
-    """The best point of a descent, from which ``start`` (n,), and the (objective, violation) of every evaluation."""
+    """The best point of a descent from ``start`` (n,), and its ``path``.
+
+    ``path`` has the (objective, violation) of every evaluation.
+    """
 
     start: Real
     point: ProgrammePoint
@@ -77,17 +84,20 @@ class DesignDescent:
 
     @property
     def stationary(self) -> bool:
-        """Whether no direction that the bounds leave goes down further."""
+        """Whether no direction within the active bounds decreases the objective."""
         return self.multipliers.residual <= STATIONARY
 
     @property
     def feasible(self) -> bool:
-        """Whether its end keeps all bounds."""
+        """Whether its end satisfies all bounds."""
         return self.point.violation <= KEPT
 
 
 def descend(programme: NonlinearProgramme, start: Real, *, evaluations: int) -> DesignDescent:
-    """The best point of a descent from `start` (n,) of at most `evaluations` evaluations."""
+    """The best point of a descent from `start` (n,).
+
+    It makes at most `evaluations` evaluations.
+    """
     points: list[ProgrammePoint] = []
     begun = 0
 
@@ -118,9 +128,10 @@ def descend(programme: NonlinearProgramme, start: Real, *, evaluations: int) -> 
 
 def evolve(programme: NonlinearProgramme, start: Real, *, population: int, generations: int, seed: int,
            say: Callable[[float], None] = lambda share: None) -> ProgrammePoint:
-    """The best point of a differential evolution (Storn and Price 1997, J. Global Optim. 11, 341, of scipy).
+    """The best point of a differential evolution.
 
-    `start` (n,) is a member of the first generation of about `population` points. Lengths are on their steps.
+    Source: Storn and Price 1997, J. Global Optim. 11, 341, as in scipy. `start` (n,) is a member of the first
+    generation of about `population` points. Lengths are on their steps.
     """
     points: list[ProgrammePoint] = []
 
@@ -138,7 +149,7 @@ def evolve(programme: NonlinearProgramme, start: Real, *, population: int, gener
 
 
 def _better(one: ProgrammePoint, other: ProgrammePoint) -> bool:
-    """Whether one point is better than another by more than a descent ends with."""
+    """Whether `one` is better than `other` by more than :data:`CONVERGED`."""
     return one.rank[0] < other.rank[0] or (one.rank[0] == other.rank[0] and one.rank[1] < other.rank[1] - CONVERGED)
 
 
@@ -146,7 +157,7 @@ def _follow(
     programme: NonlinearProgramme, evaluate: Callable[[Real], ProgrammePoint], points: list[ProgrammePoint],
     centre: Real, width: float,
 ) -> None:
-    """SLSQP from `centre` (n,) within `width` to either side."""
+    """Run SLSQP from `centre` (n,) within `width` to either side."""
     def clipped(x: Real) -> ProgrammePoint:
         return evaluate(np.clip(x, low, high))
 
@@ -154,7 +165,7 @@ def _follow(
         point = clipped(x)
         if point.exists:
             return point.objective, point.slope
-        # No figures: worse than all that is known, so that the line search comes back.
+        # Without figures a point is worse than all others, so that the line search turns back.
         worst = max((each.objective for each in points if each.exists), default=0.0)
         return worst + PENALTY, np.zeros(len(x))
 
@@ -173,8 +184,10 @@ def _follow(
 
 
 def multipliers(point: ProgrammePoint) -> Multipliers:
-    """The multipliers of the bounds and ends that are active at `point`: none is negative, and they leave as little of
-    the slope as possible (non-negative least squares)."""
+    """The multipliers of the bounds and ends active at `point`.
+
+    They are non-negative and make the residual of the gradient as small as possible (non-negative least squares).
+    """
     count, unit = len(point.margins), np.eye(len(point.x))
     columns = np.concatenate([point.jacobian, unit, -unit])
     active = np.concatenate([point.margins, point.x, 1.0 - point.x]) <= ACTIVE
@@ -190,17 +203,17 @@ def multipliers(point: ProgrammePoint) -> Multipliers:
 def round_to_grid(
     programme: NonlinearProgramme, found: DesignDescent, *, evaluations: int
 ) -> tuple[NonlinearProgramme, DesignDescent]:
-    """The best of the combinations of steps about an optimum, the other lengths optimal for each.
+    """The best combination of steps near an optimum.
 
-    All roundings up and down are tried, then single steps away from the best one until none is better. Returns the
-    programme with the steps fixed, and the descent in the rest of it.
+    For each combination the other lengths are optimal. All roundings up and down are tried, then single steps from the
+    best one until none is better. Returns the programme with the steps fixed, and the descent in its other variables.
     """
     lengths, tried = found.point.lengths, dict[tuple[float, ...], tuple[NonlinearProgramme, DesignDescent]]()
     slopes = zip(programme.variables, found.point.slope, programme.extent, strict=True)
     leverage = {each: abs(float(slope)) * each.step / extent for each, slope, extent in slopes if each.step is not None}
     if not leverage:
         return programme, found
-    # The nearest step, then the other one of the two beside the length.
+    # The nearest step, then the one on the other side of the length.
     choices = {each: (nearest := each.round(lengths[each.name]), *(
         value for value in each.beside(lengths[each.name])
         if value != nearest and abs(value - lengths[each.name]) < (each.step or 0.0))) for each in leverage}

@@ -1,7 +1,7 @@
-"""The figures of one chip at several drives, side by side: what requirements that state different ones ask for.
+"""The figures of one chip at several drives.
 
-A chip is linear, but its impedance says what voltage a generator or a constant power leave at its electrodes, so each
-drive is an operation of its own on the same reduced model.
+Requirements may state different drives. A chip is linear, but the voltage at its electrodes from a generator or a
+constant power depends on its impedance. So each drive is an operation of its own on the same reduced model.
 """
 
 from __future__ import annotations
@@ -20,15 +20,18 @@ from workbench.model.drive import Drive, VoltageDrive
 
 Real = NDArray[np.float64]
 
-#: Figures that are the same at every drive, and those that are the same at every voltage: the peak of the energy, which
-#: the drive follows, is elsewhere under a constant power or behind a generator.
+#: Figures that are the same at every drive, and those that are the same at every voltage. The latter depend on the peak
+#: of the energy, which moves under a constant power or behind a generator.
 UNDRIVEN = ("f0", "z_min", "q")
 OF_VOLTAGE = ("trap_height", "trap_offset", "trap_radius", "peak_frequency", "peak_q")
 
 
 @dataclass(frozen=True)
 class DrivenFigure:
-    """A figure at a drive; its ``label`` is the figure's name, with the drive where there are several."""
+    """A figure at a drive.
+
+    ``label`` is the figure's name, with the drive if there are several.
+    """
 
     label: str
     figure: Figure
@@ -36,7 +39,10 @@ class DrivenFigure:
 
 
 def driven_figures(names: Sequence[str], requirements: Sequence[Requirement], drive: Drive) -> tuple[DrivenFigure, ...]:
-    """The figures called `names` at the `drive`, and those of `requirements` at theirs, each once."""
+    """The figures `names` at the `drive`, and those of `requirements` at theirs.
+
+    Each is listed once.
+    """
     asked = [(figure_named(name), drive) for name in names]
     asked += [(each.figure, each.drive or drive) for each in requirements]
     found: dict[tuple[str, str], DrivenFigure] = {}
@@ -50,7 +56,7 @@ def driven_figures(names: Sequence[str], requirements: Sequence[Requirement], dr
 
 
 def label_of(requirement: Requirement, known: Sequence[DrivenFigure], drive: Drive) -> str:
-    """Which of the `known` quantities a requirement is about."""
+    """The label among the `known` figures that a requirement applies to."""
     at = requirement.drive or drive
     mine = [each for each in known if each.figure == requirement.figure]
     return next((each.label for each in mine if str(each.drive) == str(at)), mine[0].label)
@@ -58,9 +64,10 @@ def label_of(requirement: Requirement, known: Sequence[DrivenFigure], drive: Dri
 
 @dataclass(frozen=True, eq=False)
 class Driven:
-    """An `workbench.design.model.Evaluator` whose figures are the labels of ``requested``, on the reduced ``model``.
+    """Evaluates figures at several drives on one reduced ``model``.
 
-    ``operation`` has the frequency and thermal resistances of all drives.
+    It is a `workbench.design.model.Evaluator` whose figures are the labels of ``requested``. ``operation`` has the
+    frequency and thermal resistances of all drives.
     """
 
     model: DesignModel
@@ -84,7 +91,10 @@ def at_drives(
     requested: Sequence[DrivenFigure], operation: Operation,
     evaluate: Callable[[tuple[str, ...], Operation], Evaluation],
 ) -> Evaluation:
-    """The figures of one chip by label; `evaluate` gives those called so at an operation, once for each drive."""
+    """The figures of one chip by label.
+
+    `evaluate` gives the named figures at an operation. It is called once for each drive.
+    """
     drives = {str(each.drive): each.drive for each in requested}
     parts = [([each for each in requested if str(each.drive) == words], drive) for words, drive in drives.items()]
     found: list[tuple[DrivenFigure, Evaluation]] = []

@@ -1,7 +1,7 @@
-"""Figures of a chip and their exact derivatives, from a model with its numbers in place.
+"""Figures of a chip and their exact derivatives, from a model.
 
-Every figure follows from one state, at the frequency that the chip is driven at, and from the states at the half-power
-frequencies. Where the drive follows f0, a change of a number moves the frequency too:
+Every figure follows from one state, at the driven frequency, and from the states at the half-power frequencies. If the
+drive follows f0, a change of a number moves the frequency too:
 
     d figure / d number = (at constant frequency) + (by frequency) d f0 / d number
 """
@@ -49,9 +49,12 @@ OF_FIELD = ("p0", "e_ac", "mean_e_ac", *OF_TRAP)
 
 @dataclass(frozen=True)
 class Operation:
-    """The operation of a chip: its ``drive``; the ``frequency`` (Hz) it is driven at, or the word of
-    `geometry.operating_point.OPERATING_POINTS` for the resonance that the drive follows, None for that of the chip;
-    ``thermal_resistance`` (K/W) of regions for heating, the key "" standing for all regions not named."""
+    """The operation of a chip: drive, frequency and thermal resistances.
+
+    ``frequency`` is in Hz, or the word of `geometry.operating_point.OPERATING_POINTS` for the resonance that the drive
+    follows, or None for that of the chip. ``thermal_resistance`` (K/W) is by region, for heating; the key "" stands for
+    all regions not named.
+    """
 
     drive: Drive = field(default_factory=VoltageDrive)
     frequency: float | str | None = None
@@ -60,9 +63,9 @@ class Operation:
     def of(self, device: FilledChip) -> Operation:
         """The operation of a chip in a state.
 
-        Unless stated, its frequency is that of the chip file, or else the largest peak of the energy of sound in the
-        cavity; in a cavity without a liquid the drive follows f0 instead of that. The drive is as the chip states its
-        wiring.
+        If no frequency is stated, it is that of the chip file, or else the largest peak of the energy of sound in the
+        cavity. In a cavity without a liquid the drive follows f0 instead of that peak. The drive is wired as the chip
+        states.
 
         Raises:
             InputError: see `workbench.model.drive.wired`.
@@ -73,7 +76,7 @@ class Operation:
         return replace(self.wired(device.chip), frequency=stated)
 
     def wired(self, chip: Chip) -> Operation:
-        """The operation with the drive as the chip states its wiring.
+        """The operation with the drive wired as the chip states.
 
         Raises:
             InputError: see `workbench.model.drive.wired`.
@@ -110,9 +113,10 @@ class Operation:
 class Evaluation(Brief):
     """Figures of one chip.
 
-    ``values`` the numbers it was asked for (SI, by parameter name); ``figures`` SI, by name, NaN where there is none
-    and ``missing`` says why, by the figure's name; ``gradient`` by figure, (len(values),) in the order of ``values``,
-    None where not asked for; ``frequency`` (Hz) it is driven at; ``error`` estimated relative error of Z there.
+    ``values`` are the numbers of the chip (SI, by parameter name). ``figures`` are SI, by name, NaN if one does not
+    exist; ``missing`` then has the reason, by the figure's name. ``gradient`` is by figure, (len(values),) in the order
+    of ``values``, None if not requested. ``frequency`` (Hz) is the driven one, and ``error`` the estimated relative
+    error of Z there.
     """
 
     values: Mapping[str, float]
@@ -125,12 +129,12 @@ class Evaluation(Brief):
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """A request for figures of a model whose numbers are in place.
+    """A request for figures of a model whose parameters are set.
 
-    ``figures`` by name; ``names`` the k real numbers that derivatives are taken by (none: no derivatives), ``values``
-    all complex parameters; ``pressure`` gives the pressure (n, m, columns) at the cavity's nodes of states (size,
-    columns); ``cavity`` is None where there is no fluid, and ``reason`` says why; ``beyond`` as of `trap_focus_time`,
-    ``near`` as of `find_trap`.
+    ``figures`` are by name. ``names`` are the k real numbers for derivatives (none: no derivatives), ``values`` all
+    complex parameters. ``pressure`` maps states (size, columns) to the pressure (n, m, columns) at the cavity's nodes.
+    ``cavity`` is None without a fluid, and ``reason`` explains why. ``beyond`` is as in `trap_focus_time`, ``near`` as
+    in `find_trap`.
     """
 
     figures: tuple[str, ...]
@@ -150,21 +154,24 @@ class Question:
 
     @property
     def turns(self) -> Complex:
-        """(k,): the derivative of the complex parameter by each number, 1 or 1j."""
+        """The derivatives (k,) of the complex parameters by the numbers.
+
+        Each is 1 or 1j.
+        """
         return np.array([1j if ParameterName.parse(name).is_loss else 1.0 for name in self.names], dtype=complex)
 
     def unit(self, name: str) -> Real:
-        """(k,): one for the number of that name."""
+        """The unit vector (k,) of the number of that name."""
         return np.array([float(each == name) for each in self.names])
 
     def constant(self, value: float) -> Dual:
-        """A number that the k numbers do not change."""
+        """A value that does not depend on the k numbers."""
         return Dual(value, np.zeros(len(self.names)))
 
 
 @dataclass(frozen=True, eq=False)
 class FigureValues:
-    """Figures with their derivatives, why others are missing, and the frequency (Hz) that the chip is driven at."""
+    """Figures with derivatives, reasons for missing ones, and the driven frequency (Hz)."""
 
     question: Question
     figures: Mapping[str, Dual]
@@ -173,8 +180,11 @@ class FigureValues:
     state: LinearisedState | None
 
     def evaluation(self, values: Mapping[str, float], estimate: Callable[[Solution], float] | None) -> Evaluation:
-        """The evaluation at the numbers asked for, with the estimated error of the state's charge (none: of a full
-        solve)."""
+        """The evaluation at the numbers `values`.
+
+        `estimate` gives the estimated error of the state's charge; it is None for a full solve, whose error counts as
+        0.
+        """
         names = self.question.figures
         nothing = self.question.constant(1.0) * math.nan
         found = {name: self.figures.get(name, nothing) for name in names}
@@ -194,16 +204,17 @@ def responses(figures: Collection[str], *operations: Operation) -> tuple[Resonan
     return tuple(dict.fromkeys(found))
 
 
-#: A rough model and its spectrum over the band, made where a resonance is looked for.
+#: Makes a rough model and its spectrum over the band, to locate resonances.
 Sweep = Callable[[], tuple[Responding, Solution]]
 
 
 def answer(
     question: Question, model: Responding, sweep: Sweep | None = None, final: Responding | None = None
 ) -> FigureValues:
-    """The figures asked for, of a `model` whose resonances lie near those of the `sweep`.
+    """Compute the requested figures.
 
-    With `final` the model only says where the resonance is, and the states are those of that better model.
+    The resonances of `model` lie near those of the `sweep`. With `final`, `model` only locates the resonance, and the
+    states are those of this better model.
     """
     found: dict[str, Dual] = {}
     resonances: dict[ResonantQuantity, Resonance] = {}
@@ -248,7 +259,7 @@ def _resonance(
     """The resonance of a response.
 
     Raises:
-        NoResonance: there is none in the band, or of the impedance not a whole one.
+        NoResonance: the band has none, or for the impedance only part of one.
     """
     if rough is None or (rough[0].sound is None and not isinstance(response, Impedance)):
         raise NoResonance("the cavity holds no liquid with sound in it", frequency=math.nan, impedance=math.nan)
@@ -262,7 +273,10 @@ def _resonance(
 def _of_resonance(
     resonance: Resonance, response: ResonantQuantity, found: dict[str, Dual], missing: dict[str, str]
 ) -> None:
-    """Add the figures of a resonance, f0, Z_min and Q or the peak's frequency and Q."""
+    """Add the figures of a resonance.
+
+    They are f0, Z_min and Q of the impedance, or the peak's frequency and Q.
+    """
     if isinstance(response, Impedance):
         z_min = math.exp(resonance.least.value)
         found.update(f0=resonance.frequency, z_min=Dual(z_min, z_min * resonance.least.gradient), q=resonance.q)
@@ -276,8 +290,11 @@ def _of_resonance(
 
 @dataclass(frozen=True, eq=False)
 class _Operating:
-    """A chip at the frequency it is driven at: the ``state`` there, that frequency with its derivatives, and the energy
-    of the ``sound`` in the cavity, None without a fluid."""
+    """A chip at its driven frequency.
+
+    ``state`` is the state there, ``frequency`` has its derivatives, and ``sound`` is the energy of sound in the cavity,
+    None without a fluid.
+    """
 
     question: Question
     state: LinearisedState
@@ -286,12 +303,15 @@ class _Operating:
 
     @property
     def state_slopes(self) -> Complex:
-        """(size, k): the derivatives of the state by the numbers, the frequency following."""
+        """The total derivatives (size, k) of the state by the numbers.
+
+        They include the change of the driven frequency.
+        """
         return (self.state.by_parameter * self.question.turns
                 + np.outer(self.state.by_frequency, self.frequency.gradient))
 
     def _of_level(self, level: Level) -> Dual:
-        """The response whose logarithm is a level, the frequency following."""
+        """The response of a logarithmic level, with its total derivatives."""
         value = math.exp(level.value)
         return Dual(value, value * (level.by_number + level.slope * self.frequency.gradient))
 
@@ -322,7 +342,9 @@ class _Operating:
                 found[name] = np.array([float(LOSS_SHARE + each == name) for each in regions]) @ losses / total
 
     def _losses(self) -> tuple[Dual, list[str]]:
-        """Power (n,) W lost in every integral at 1 V amplitude, -w/2 Im(g_q) x^H A_q x, and the regions (n,) of these.
+        """The power (n,) W lost in every integral, and their regions (n,).
+
+        It is -w/2 Im(g_q) x^H A_q x at 1 V amplitude.
         """
         operators, question = self.state.solution.operators, self.question
         state, moved, frequency = self.state.state, self.state_slopes, self.frequency.value

@@ -1,8 +1,8 @@
-"""The figures that a chip is judged by: names, units, and what they mean.
+"""The figures that a chip is judged by: names, units and meanings.
 
-All are of one frequency at which the chip is driven, and of one drive. Unless stated, it is the largest peak of the
-energy of sound in the cavity, or f0 where the cavity holds no liquid.
-Fields are those of the cavity's fluid; traps those of the particle that the chip's state names.
+All are of one frequency at which the chip is driven, and of one drive. Unless stated, the frequency is the largest peak
+of the energy of sound in the cavity, or f0 where the cavity contains no liquid. Fields are those of the cavity's fluid;
+traps those of the particle that the chip's state names.
 """
 
 from __future__ import annotations
@@ -12,17 +12,20 @@ from dataclasses import dataclass
 
 from workbench.files.errors import InputError, choose
 
-#: Units of changes where those of the figure itself are too large, and their factors to SI.
+#: Units for changes of a figure if its own unit is too large, and their factors to SI.
 OF_CHANGES = {"MHz": ("kHz", 1e3)}
 
-#: Head of the name of the share of the power that is lost in a region; the region follows.
+#: Prefix of the figure "share of the power lost in a region"; the region follows.
 LOSS_SHARE = "loss."
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure by ``name``; ``unit`` SI, ``dimension`` as of `workbench.files.quantities.UNITS`, ``shown`` the unit it
-    is written in and ``factor`` of that to SI."""
+    """A figure of a chip, with its units and description.
+
+    ``unit`` is SI and ``dimension`` one of `workbench.files.quantities.UNITS`. ``shown`` is the unit it is written in
+    and ``factor`` converts that unit to SI.
+    """
 
     name: str
     unit: str
@@ -62,10 +65,10 @@ QUOTIENTS: Mapping[str, tuple[str, str]] = {"depth_per_kelvin": ("trap_depth", "
 
 
 def with_parts(names: Iterable[str]) -> tuple[str, ...]:
-    """Figures, each once, and those that they are quotients of."""
+    """The figures and those that they are quotients of, each once."""
     return tuple(dict.fromkeys(each for name in names for each in (*QUOTIENTS.get(name, ()), name)))
 
-#: Figures by name; ``loss.<region>`` besides, for every region of a chip.
+#: Figures by name. Every region of a chip has a further one, ``loss.<region>``.
 FIGURES: Mapping[str, Figure] = {each.name: each for each in _ALL}
 
 
@@ -82,15 +85,17 @@ def figure_named(name: str) -> Figure:
 
 
 def change_unit(figure: Figure) -> tuple[str, float]:
-    """The unit in which changes of a figure are written, and its factor to SI."""
+    """The unit for changes of a figure, and its factor to SI."""
     return OF_CHANGES.get(figure.shown, (figure.shown, figure.factor))
 
 
 def check_figures(names: Iterable[str], regions: Iterable[str], *, source: str, field: str) -> tuple[str, ...]:
-    """`names`, each a figure of a chip with these `regions`, once each.
+    """Check that `names` are figures of a chip with these `regions`.
+
+    Returns them in order.
 
     Raises:
-        InputError: a name that is none, or one that is there twice.
+        InputError: a name is not a figure, or occurs twice.
     """
     found: list[str] = []
     known = [*FIGURES, *(LOSS_SHARE + region for region in regions)]

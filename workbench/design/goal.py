@@ -1,4 +1,4 @@
-"""The goal of a design: objectives, the variables of the chip, and its constraints, as GOAL.toml states them.
+"""The goal of a design, from GOAL.toml: objectives, variables and constraints.
 
     [goal]
     chip = "chip.toml"                  # where the search starts; the path is relative to this file
@@ -56,15 +56,14 @@ from workbench.model.drive import Drive, read_drive
 from workbench.model.numbers import Law
 from workbench.model.problem import fill
 
-#: The objective that is the largest common factor of all tolerances with which every bound of a figure still holds for
-#: 95 % of the chips.
+#: The objective "largest common factor of all tolerances with which 95 % of the chips satisfy every bound of a figure".
 TOLERANCE = "tolerance"
 
-#: Figures of either sign, which can be kept to but not be best at.
+#: Figures of either sign, which can have bounds but not be objectives.
 SIGNED = ("trap_offset", "trap_radius")
 
 #: Most combinations of stock lengths and materials that are searched one by one, each on a model of its own. Twice as
-#: many take twice the time; beyond, stock lengths are searched on one model that covers them all.
+#: many take twice the time. With more, stock lengths need one model that covers them all.
 ENUMERATED = 12
 
 _EXAMPLE = '{ from = "0.7 mm", to = "1 mm" }, { values = [...] } or { materials = [...] }'
@@ -72,7 +71,7 @@ _EXAMPLE = '{ from = "0.7 mm", to = "1 mm" }, { values = [...] } or { materials 
 
 @dataclass(frozen=True)
 class DesignObjective:
-    """A figure that is to be as large as possible, or as small."""
+    """A figure to maximise or minimise."""
 
     figure: str
     maximise: bool
@@ -85,11 +84,12 @@ class DesignObjective:
 class SearchOptions:
     """Options of the search for the optimum.
 
-    ``starts`` of the search, each with ``looked_at`` random points (the first with the present chip besides), of which
-    the best ``descended`` are where descents begin, of at most ``evaluations`` each. ``reach``: how far a model extends
-    to either side of its middle, relative to the length there; within wider bounds models are moved, at most ``moves``
-    times. ``relative_error``: of the impedance on them. ``evolutionary`` makes one model over all bounds, stock lengths
-    included; ``population`` is the number of chips on a front, and with ``generations`` of an evolution without slopes.
+    Each of the ``starts`` evaluates ``looked_at`` random points (the first start also the present chip). Descents begin
+    at the best ``descended`` of them, with at most ``evaluations`` each. ``reach`` is the half-width of a model,
+    relative to the length in its middle. Within wider bounds models are moved, at most ``moves`` times.
+    ``relative_error`` is that of the impedance on them. ``evolutionary`` makes one model over all bounds, stock lengths
+    included; ``population`` is the number of chips on a front, and with ``generations`` of an evolution without
+    gradients.
     """
 
     starts: int = 10
@@ -107,11 +107,11 @@ class SearchOptions:
 
 @dataclass(frozen=True)
 class Robust:
-    """The statistics of a figure over the uncertainty of the chip that stand for the figure.
+    """Statistics that replace a figure under the uncertainty of the chip.
 
-    They are its ``quantile`` on the bad side (0.05: the figure that 95 % of the chips reach), or its mean where that is
-    None, over that number of ``samples`` of the tolerances, with ``law``, of the chip file; of the uncertainties of the
-    ``materials`` if stated; and of the uncertainties that fits left, by their files (``posteriors``).
+    They are its ``quantile`` on the bad side (0.05: the figure that 95 % of the chips reach), or its mean if that is
+    None, over ``samples`` draws. The draws are of the tolerances of the chip file, with ``law``; of the uncertainties
+    of the ``materials`` if stated; and of the uncertainties from fits, by their files (``posteriors``).
     """
 
     quantile: float | None = 0.05
@@ -123,11 +123,11 @@ class Robust:
 
 @dataclass(frozen=True, init=False)
 class Goal:
-    """A design task whose description has been checked.
+    """A design task with a checked description.
 
-    ``chip`` in ``state`` as it is at first; ``operation`` its drive and thermal resistances; ``objectives`` one, or two
-    for a Pareto front; ``bounds`` what it keeps to; ``band`` (Hz) within which its resonance is looked for; ``source``
-    the name that mistakes are reported under: that of the file, or "Goal".
+    ``chip`` in ``state`` is the initial one. ``operation`` has its drive and thermal resistances. ``objectives`` are
+    one, or two for a Pareto front; ``bounds`` are the constraints. The resonance is searched within ``band`` (Hz).
+    Errors are reported under ``source``: the name of the file, or "Goal".
     """
 
     source: str
@@ -159,10 +159,10 @@ class Goal:
         registry: Registry | None = None,
         source: str = ProgramSource("Goal"),
     ) -> None:
-        """A goal from a chip and from values as a goal's file has them, where numbers may stand in SI without units.
+        """Make a goal from a chip and values of a goal file.
 
-        `variables`, `thermal`, `robust` and `search` are the tables of the file (:mod:`workbench.design.goal`);
-        `registry` is where alternative materials are looked up.
+        Numbers without units are SI. `variables`, `thermal`, `robust` and `search` are the tables of the file
+        (:mod:`workbench.design.goal`). Alternative materials are looked up in `registry`.
 
         Raises:
             InputError: the values do not describe a goal.
@@ -201,7 +201,10 @@ class Goal:
 
     @property
     def unknowns(self) -> tuple[VariedNumber, ...]:
-        """The lengths that a model is of: the stock lengths too, from end to end, if one model covers all bounds."""
+        """The lengths that a model varies.
+
+        They include the stock lengths, from end to end, if one model covers all bounds.
+        """
         stock = self.stock if self.search.evolutionary else ()
         return (*self.lengths, *(replace(each, values=()) for each in stock))
 
@@ -211,7 +214,7 @@ class Goal:
 
     @property
     def figures(self) -> tuple[str, ...]:
-        """The figures asked for: the resonance, the objectives, those that are bounded."""
+        """The figures needed: the resonance, the objectives, and those with bounds."""
         resonance = "peak_frequency" if self.operation.frequency == AT_ENERGY else "f0"
         asked = [resonance, *(each.figure for each in self.objectives if each.figure != TOLERANCE),
                  *(each.figure for each in self.bounds if not each.of_lengths)]
@@ -219,7 +222,7 @@ class Goal:
 
 
 def read_goal(path: Path | str, *, registry: Registry | None = None) -> Goal:
-    """The goal described by a TOML file.
+    """Read the goal described by a TOML file.
 
     Raises:
         InputError: the file or its chip cannot be read, or does not describe a goal.
@@ -325,10 +328,10 @@ def _search(table: FileTable) -> SearchOptions:
 
 
 def _check(goal: Goal) -> None:
-    """The parts of a goal go together.
+    """Check that the parts of a goal are consistent.
 
     Raises:
-        InputError: heating without thermal resistance, a search of nothing but choices, too many of them.
+        InputError: heating without thermal resistance, an evolutionary search without lengths, or too many choices.
     """
     asked = set(goal.figures)
     if "heating" in with_parts(asked) and not goal.operation.thermal_resistance:

@@ -1,10 +1,10 @@
-"""Input uncertainty of a chip: tolerances of its file, uncertainties of its materials, fits, and a person's own
-statements, each taking the place of those before it.
+"""Input uncertainty of a chip, from its file, materials, fits and statements.
 
-A statement is a text, ``superstrate.thickness = 20 um``: of a length its limits, of a coefficient its standard
-uncertainty. ``uniform`` or ``normal`` behind it make either a limit, ``standard`` a standard uncertainty; per cents are
-of the number itself, ``exact`` leaves it certain, and ``assumed`` gives a length the uncertainty of its role
-(`geometry.assumed`), such as a factor of three of a film of gel. In a TOML file the statements stand in a table::
+Each source replaces those before it: the tolerances of the chip file, the uncertainties of its materials, fits, and the
+user's own statements. A statement is a text, ``superstrate.thickness = 20 um``: the limits of a length, or the standard
+uncertainty of a coefficient. A final ``uniform`` or ``normal`` makes it a limit, ``standard`` a standard uncertainty.
+Per cents are of the number itself. ``exact`` makes it certain, and ``assumed`` gives a length the uncertainty of its
+role (`geometry.assumed`), such as a factor of three of a film of gel. In a TOML file the statements are a table::
 
     [uncertainty]
     "superstrate.thickness" = "20 um"
@@ -37,18 +37,21 @@ from workbench.model.device_numbers import ASSUMED, assumed_by_role, device_numb
 from workbench.model.numbers import BENCH, LOSS, Law, Number, ParameterName, Stated, limits, placed
 from workbench.model.problem import FilledChip, fill
 
-#: Of a fluid, what the model holds as a number of its own; its losses follow from others.
+#: The parameters of a fluid in the model; its losses follow from others.
 FLUID_NUMBERS = ("density", "sound_speed")
 
 _STATEMENT = re.compile(r"\s*(?P<name>[^=\s]+)\s*=\s*(?P<amount>.*?)\s*")
-#: An amount, and the word behind its unit: what follows a bare number is a unit.
+#: An amount, and the word after its unit: a word after a bare number is a unit.
 _AMOUNT = re.compile(r"(?P<amount>.*?)(?:(?<=[^\d\s])\s+(?P<word>[A-Za-z]{5,}))?")
 _WORDS = (*get_args(Law), "standard")
 
 
 @dataclass(frozen=True)
 class Statement:
-    """A person's word on the uncertainty of a number: its ``name`` and ``amount`` as written, and where."""
+    """A user's statement of the uncertainty of a number.
+
+    ``name`` and ``amount`` are as written, in ``field`` of ``source``.
+    """
 
     name: str
     amount: str
@@ -57,7 +60,7 @@ class Statement:
 
 
 def parse_statement(text: str, *, source: str = "command line", field: str = "--uncertainty") -> Statement:
-    """The statement ``name = amount``.
+    """Parse the statement ``name = amount``.
 
     Raises:
         InputError: it has no name or no amount.
@@ -69,10 +72,10 @@ def parse_statement(text: str, *, source: str = "command line", field: str = "--
 
 
 def read_statements(path: Path) -> tuple[Statement, ...]:
-    """The statements of the ``[uncertainty]`` table of a TOML file.
+    """Read the table ``[uncertainty]`` of a TOML file.
 
     Raises:
-        InputError: no such file or table, or an amount that is no text.
+        InputError: no such file or table, or an amount that is not a text.
     """
     root = FileTable.read(path).only(("uncertainty",))
     root.required("uncertainty", "a table [uncertainty] of names and amounts")
@@ -96,9 +99,9 @@ def stated_uncertainty(
     """The input uncertainty of a chip in a state.
 
     Args:
-        law: what a tolerance is: the limits of a uniform law, or three standard deviations of a normal one.
-        statements: a person's own word, which goes before everything else.
-        posteriors: files ``fit.json`` of fits with intervals, whose numbers, uncertainties and correlations go before
+        law: "uniform" if a tolerance is a limit, "normal" if it is three standard deviations.
+        statements: the user's own, which replace everything else.
+        posteriors: files ``fit.json`` of fits with intervals. Their numbers, uncertainties and correlations replace
             those of the chip file and of the registry.
 
     Raises:
@@ -120,7 +123,9 @@ def stated_uncertainty(
 
 
 def uncertainty_of_files(device: FilledChip, law: Law = "uniform") -> Uncertainty:
-    """The uncertainty that the chip's file and its materials state: tolerances, uncertainties and their correlations.
+    """The uncertainty stated by the chip's file and its materials.
+
+    It has tolerances, uncertainties and their correlations.
 
     Raises:
         InputError: a tolerance or an uncertainty that cannot be used.
@@ -129,9 +134,10 @@ def uncertainty_of_files(device: FilledChip, law: Law = "uniform") -> Uncertaint
 
 
 def numbers_of(device: FilledChip) -> dict[str, float]:
-    """Every number (SI) that figures depend on, by name: lengths, radii that coincide once; moduli, densities, losses.
+    """Every number (SI) that figures depend on, by name.
 
-    A loss that is zero is there, but those of densities and of fluids are not.
+    These are lengths (radii that coincide once), moduli, densities and losses. Losses of zero are included, but not the
+    losses of densities and of fluids.
     """
     return {name: each.value for name, each in device_numbers(device.chip, device.materials.values()).items()
             if _is_felt(each, device)}
@@ -148,10 +154,10 @@ def _is_felt(number: Number, device: FilledChip) -> bool:
 
 @dataclass
 class _Collected:
-    """The uncertain numbers of a ``device``: ``felt`` are all numbers that figures depend on, ``inputs`` those of them
-    that are uncertain, by name. ``law`` is that of a tolerance.
+    """The uncertain numbers of a ``device``, collected from several sources.
 
-    ``correlations`` are those of pairs of inputs, and ``notes`` name the numbers that are left out.
+    ``felt`` are all numbers that figures depend on, by name, and ``inputs`` the uncertain ones among them. ``law`` is
+    that of a tolerance. ``correlations`` are those of pairs of inputs. ``notes`` name the numbers that are left out.
     """
 
     device: FilledChip
@@ -163,7 +169,7 @@ class _Collected:
 
     @classmethod
     def of_files(cls, device: FilledChip, law: Law) -> _Collected:
-        """The tolerances of the chip's file, and the uncertainties of its materials."""
+        """The tolerances of the chip file and the uncertainties of its materials."""
         numbers = device_numbers(device.chip, device.materials.values())
         found = cls(device, law, {name: each for name, each in numbers.items() if _is_felt(each, device)})
         for each in numbers.values():
@@ -190,20 +196,25 @@ class _Collected:
         return found
 
     def put(self, number: Number, stated: Stated, ends: tuple[float, float] | None = None) -> None:
-        """Take a number as uncertain in the place of the input there was, correlations included. Lengths are within
-        `ends` (m), or else where the chip stays one."""
+        """Add an uncertain number; it replaces the present input and its correlations.
+
+        Lengths stay within `ends` (m), by default within the range where the chip stays valid.
+        """
         self.drop(number.name)
         if ends is None and number.is_dimension:
             ends = admissible_range(self.device.chip, number.name)
         self.inputs[number.name] = known_as(number, stated, ends)
 
     def drop(self, name: str) -> None:
-        """Forget an input and its correlations."""
+        """Remove an input and its correlations."""
         self.inputs.pop(name, None)
         self.correlations = {pair: each for pair, each in self.correlations.items() if name not in pair}
 
     def correlate(self, names: Sequence[str], rows: Sequence[Sequence[float]]) -> None:
-        """Take the correlations between inputs, of a matrix with a row and a column for each name."""
+        """Add the correlations between inputs from a matrix.
+
+        It has a row and a column for each of the `names`.
+        """
         self.correlations |= {
             (one, other): rows[i][j] for i, one in enumerate(names) for j, other in enumerate(names)
             if i != j and one in self.inputs and other in self.inputs}
@@ -221,7 +232,10 @@ class _Collected:
                            tuple(dict.fromkeys(self.notes)))
 
     def take_posterior(self, path: Path) -> None:
-        """The numbers, standard uncertainties and correlations of a fit; those of its bench are averaged over."""
+        """Add the numbers, standard uncertainties and correlations of a fit.
+
+        Numbers of the fit's bench are averaged over.
+        """
         table = _read_fit(path)
         names, rows = _correlation(table)
         own = table.text("material", ""), table.content.get("saved_as")
@@ -246,8 +260,10 @@ class _Collected:
         self.correlate([here[name] for name in names], rows)
 
     def _name_here(self, stated: str, own: tuple[str, Any]) -> str:
-        """The name that a number of a fit has on this chip, whose material may be there as it was saved. Empty where
-        the chip has no such number."""
+        """The name that a number of a fit has on this chip.
+
+        The fit's material may be present under its saved name. The name is empty if the chip has no such number.
+        """
         parsed, present = ParameterName.parse(stated), {each.name for each in self.device.materials.values()}
         if parsed.is_dimension:
             if stated in self.device.chip.dimensions():
@@ -260,7 +276,7 @@ class _Collected:
         return ""
 
     def take_statement(self, each: Statement) -> None:
-        """A person's word on a number, in the place of all others."""
+        """Add a user's statement; it replaces every other source."""
         name = self.name_of(each)
         known = self.felt[name]
         number = _at(known, self.inputs.get(name, known).value)
@@ -268,7 +284,7 @@ class _Collected:
         assert match is not None
         amount, word = match["amount"], match["word"] or (self.law if number.is_dimension else "standard")
         if any(name in pair for pair in self.correlations):
-            self.notes.append(f"{name}: {each.source} goes before what a fit says of it, correlations included")
+            self.notes.append(f"{name}: {each.source} replaces the values of a fit, correlations included")
         if each.amount == "exact":
             self.drop(name)
             return
@@ -291,7 +307,10 @@ class _Collected:
             spread, "normal" if word == "normal" else "uniform", origin=each.source))
 
     def name_of(self, each: Statement) -> str:
-        """The number that a statement is about: a material may be named without its source where it is the only one."""
+        """The name of the number that a statement describes.
+
+        A material may be named without its source if only one material has that name.
+        """
         name = canonical_names(self.device.chip).get(each.name, each.name)
         if name in self.felt:
             return name
@@ -322,10 +341,12 @@ def _read_fit(path: Path) -> FileTable:
 
 
 def _correlation(table: FileTable) -> tuple[tuple[str, ...], list[list[float]]]:
-    """Names and rows of the correlation of a fit, symmetric with ones on the diagonal.
+    """The names and rows of a fit's correlation matrix.
+
+    It is made symmetric with ones on the diagonal.
 
     Raises:
-        InputError: no matrix of finite numbers.
+        InputError: it is not a matrix of finite numbers.
     """
     inner = table.table("correlation")
     names, rows = inner.texts("names"), inner.content.get("rows")
@@ -342,12 +363,12 @@ def _correlation(table: FileTable) -> tuple[tuple[str, ...], list[list[float]]]:
 
 @dataclass(frozen=True)
 class CentredRegistry(Registry):
-    """A registry whose materials have other ``numbers`` (SI, by parameter name) than their entries."""
+    """A registry with other ``numbers`` (SI, by parameter name) for its materials."""
 
     numbers: Mapping[str, float] = field(default_factory=dict)
 
     def load(self, name: str, *, temperature: float | None = None, notes: list[str] | None = None) -> Material:
-        """The material called `name`, with the numbers that are stated of it in the place of its own."""
+        """Load the material `name`, with ``numbers`` in place of its own."""
         material = super().load(name, temperature=temperature, notes=notes)
         if self.assumed_losses:  # the numbers are those of the ceramic as it is simulated
             material, _ = with_assumed_loss(material)
@@ -364,7 +385,10 @@ class CentredRegistry(Registry):
 
 
 def centred_chip(chip: Chip, registry: Registry | None, numbers: Mapping[str, float]) -> tuple[Chip, Registry]:
-    """`chip` and `registry` with `numbers` (SI, by parameter name) in the place of their own."""
+    """`chip` and `registry` with `numbers` (SI) in place of their own.
+
+    `numbers` are by parameter name.
+    """
     known = chip.dimensions()
     lengths = {name: number for name, number in numbers.items()
                if ParameterName.parse(name).is_dimension and number != known[name].value}

@@ -1,4 +1,6 @@
-"""The figures of one chip in one state, anywhere within ranges of its lengths, moduli and losses.
+"""Models of a chip's figures over ranges of its parameters.
+
+A model gives the figures of one chip in one state, for all lengths, moduli and losses within ranges:
 
     model = design_model(read_chip("chip.toml"), "filled", {"substrate.thickness": (0.8e-3, 0.9e-3)},
                          figures=("f0", "e_ac", "trap_offset"))
@@ -65,41 +67,44 @@ from workbench.results.spectrum import Spectrum
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Relative error of Z of the range model that says where resonances are.
+#: Relative error of Z of the range model, which locates resonances.
 SWEEP = 0.01
-#: Relative error of the reduced model's impedance in :func:`full_evaluation`, whose figures then come of full solves.
+#: Relative error of the reduced model's impedance in :func:`full_evaluation`, whose figures then come from full solves.
 TOLERANCE = 1e-5
 #: Number of the layout of a stored model; raise it where the layout changes.
 FORMAT = 2
 
 
 class Evaluator(Protocol):
-    """The figures at numbers of parameters, as studies, tolerances and optimisation need them."""
+    """The figures as a function of parameters.
+
+    Studies, tolerances and optimisation need only this.
+    """
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters (`workbench.model.numbers`)."""
+        """The names of the parameters (`workbench.model.numbers`)."""
 
     @property
     def figures(self) -> tuple[str, ...]:
-        """Names of the figures (`workbench.design.figures`)."""
+        """The names of the figures (`workbench.design.figures`)."""
 
     def __call__(self, values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
-        """The figures at these numbers (SI); parameters not given are the chip's own.
+        """The figures at these numbers (SI); the others are the chip's own.
 
         Raises:
-            KeyError: a name that is no parameter.
-            OutOfRange: a number outside the ranges.
+            KeyError: a name is not a parameter.
+            OutOfRange: a number is outside the ranges.
         """
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignModel(Brief):
-    """An :class:`Evaluator` on reduced models, which can be pickled for other processes.
+    """An :class:`Evaluator` on reduced models, which can be pickled.
 
-    ``values`` the problem's own complex parameters; ``bases`` what it is computed on; ``cavity`` the places of the
-    pressure, None where there is none, and ``reason`` says why. ``range_model`` stays with the process that made it,
-    and is None in a model that was read from a file.
+    ``values`` are the problem's own complex parameters and ``bases`` the reduced bases. ``cavity`` has the places of
+    the pressure; it is None if there is none, and ``reason`` explains why. ``range_model`` stays in the process that
+    made it, and is None in a model read from a file.
     """
 
     chip: Chip
@@ -119,7 +124,10 @@ class DesignModel(Brief):
 
     @property
     def error(self) -> float:
-        """Largest relative error of Z at f0, and of the pressure's root mean square, found against full solves."""
+        """The largest relative error of Z at f0 or of the pressure.
+
+        The pressure's is that of its root mean square. Both were found against full solves.
+        """
         return max(self.bases.error, self.bases.pressure_error)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -137,7 +145,7 @@ class DesignModel(Brief):
                                                     rough.sweep(bases.frequency))).evaluation(numbers, bases.estimate)
 
     def save(self, path: Path) -> None:
-        """Keep the model in a file, to be read by :func:`load_design_model` with the chip it is of.
+        """Save the model in a file for :func:`load_design_model`.
 
         Raises:
             ValueError: this is a copy in another process, without the range model.
@@ -147,7 +155,7 @@ class DesignModel(Brief):
         write_arrays(path, self.bases.arrays(), {"format": FORMAT, "problem": fingerprint(self.range_model.problem)})
 
     def spectrum(self, values: Mapping[str, float] | None = None) -> Spectrum:
-        """The impedance at these numbers over the band, of the range model.
+        """The impedance over the band at these numbers, from the range model.
 
         Raises:
             ValueError: this is a copy in another process, without the range model.
@@ -158,11 +166,11 @@ class DesignModel(Brief):
         return self.range_model(values).spectrum
 
     def numbers(self, values: Mapping[str, float]) -> dict[str, float]:
-        """All numbers of the model, those given in the place of the chip's own.
+        """All numbers of the model; `values` replace the chip's own.
 
         Raises:
-            KeyError: a name that is no parameter.
-            OutOfRange: a number outside the ranges.
+            KeyError: a name is not a parameter.
+            OutOfRange: a number is outside the ranges.
         """
         return numbers_in_ranges(self.ranges, self.values, values)
 
@@ -184,17 +192,19 @@ def design_model(
     accuracy: float | Discretisation = ACCURACY,
     drives: Sequence[Drive] = (),
 ) -> DesignModel:
-    """A model of a chip's figures over `ranges`, see `workbench.reduced.ranges.range_model` for the arguments.
+    """Make a model of a chip's figures over `ranges`.
+
+    See `workbench.reduced.ranges.range_model` for the other arguments.
 
     Args:
-        drives: further drives that figures will be asked for.
-        relative_error: of Z where the chip is driven; that of the pressure is `workbench.design.bases.OF_PRESSURE`
-            times that.
+        drives: further drives at which figures will be evaluated.
+        relative_error: of Z in driven states; that of the pressure is `workbench.design.bases.OF_PRESSURE` times
+            as much.
 
     Raises:
         InputError: something in the chip, its materials, the ranges or the figures.
         NotCovered: `limit` full solves were not enough for the spectra.
-        NotConfirmed: full solves found figures that are further off than the error asked for.
+        NotConfirmed: full solves found a larger error than `relative_error`.
     """
     check_figures(figures, chip.regions, source=chip.file, field="figures")
     made = range_model(
@@ -210,9 +220,10 @@ def of_range_model(
     registry: Registry | None = None, relative_error: float = 1e-3, seed: int = 0,
     progress: Progress = no_progress, drives: Sequence[Drive] = (),
 ) -> DesignModel:
-    """The figures on a range model of that chip and state; `seed` of the points its bases are made and checked at.
+    """Make a model of figures on an existing range model.
 
-    `drives` are further ones that figures will be asked for.
+    The range model must be of the same chip and state. `seed` is that of the points where the bases are made and
+    checked. `drives` are further drives at which figures will be evaluated.
 
     Raises:
         InputError: something in the chip, its materials or the figures.
@@ -236,10 +247,12 @@ def load_design_model(
     operation: Operation | None = None, registry: Registry | None = None,
     accuracy: float | Discretisation = ACCURACY,
 ) -> DesignModel:
-    """A model that :meth:`DesignModel.save` has kept, with the chip, ranges and figures that it was made for.
+    """Load a model that :meth:`DesignModel.save` saved.
+
+    Chip, ranges and figures must be those that it was made for.
 
     Raises:
-        InputError: the file is no such model, or one of another chip, state, material or mesh.
+        InputError: the file is not such a model, or is for another chip, state, material or mesh.
     """
     wanted = check_figures(figures, chip.regions, source=chip.file, field="figures")
     content, arrays = read_arrays(path)
@@ -262,7 +275,7 @@ def load_design_model(
 
 
 def _by_place(figures: Sequence[str]) -> bool:
-    """Whether a figure needs to know where losses are."""
+    """Whether a figure needs the losses by place."""
     return any(name == "heating" or name.startswith(LOSS_SHARE) for name in with_parts(figures))
 
 
@@ -279,11 +292,11 @@ def full_evaluation(
     gradient: bool = False,
     accuracy: float | Discretisation = ACCURACY,
 ) -> Evaluation:
-    """The figures by full solves on a mesh of the chip's own, which confirm those of a reduced model: lengths among
-    `values` are built in, coefficients replaced.
+    """The figures by full solves on the chip's own mesh.
 
-    A reduced model of these numbers alone, to :data:`TOLERANCE`, says where the resonance is; the states at f0 and at
-    the half-power frequencies are full ones.
+    They confirm those of a reduced model. Lengths among `values` change the geometry, coefficients replace the chip's.
+    A reduced model at these numbers alone, to :data:`TOLERANCE`, locates the resonance; the states at f0 and at the
+    half-power frequencies are full ones.
 
     Raises:
         InputError: something in the chip, its materials, the values or the figures.
@@ -310,14 +323,20 @@ def full_evaluation(
 
 
 def all_of_one_length(chip: Chip, lengths: Mapping[str, float]) -> dict[str, float]:
-    """`lengths` (m) with the radii that coincide with one of them, which are one parameter, by all of their names."""
+    """`lengths` (m) by all names, for radii that coincide.
+
+    Radii that coincide are one parameter.
+    """
     return {other: value for name, value in lengths.items() for other in moving_together(chip, name)}
 
 
 def _cavity(
     device: FilledChip, operators: FullOperators, names: Sequence[str], highest: float, figures: Sequence[str],
 ) -> tuple[Cavity | None, str]:
-    """The cavity and its particle, or why there is none; looked at only if a figure needs it."""
+    """The cavity and its particle, or the reason why there is none.
+
+    It is made only if a figure needs it.
+    """
     fluid = device.materials.get(CAVITY)
     if not set(with_parts(figures)) & set(OF_FIELD):
         return None, ""

@@ -1,4 +1,7 @@
-"""Models for a search: of boxes that a model can cover, moved to where the optimum is, wider for uncertain chips."""
+"""Models for a search, each within a box of lengths.
+
+The boxes are as wide as a model can cover, move towards the optimum, and are wider for uncertain chips.
+"""
 
 from __future__ import annotations
 
@@ -30,35 +33,40 @@ from workbench.reduced.ranges import NotCovered
 from workbench.results.spectrum import Origin, Spectrum
 from workbench.simulation.run import Snapshot, snapshot
 
-#: Called with what is done within one row, and the share of it that is done.
+#: Called with the present task within one row, and the share that is done.
 Say = Callable[[str, float], None]
-#: The lowest and highest length (m) by name that a model is made for, and half the extent of it.
+#: The lowest and highest length (m) of a model, by name; and half the extent.
 Box = Mapping[str, tuple[float, float]]
 HalfWidths = Mapping[str, float]
 
 #: Full solves of a model after which its box is halved. Wider boxes need more: three thicknesses within 10 % took 90.
 SOLVES = 250
 
-#: A box may be halved so often before a model of it is given up.
+#: Most times that a box is halved before its model is given up.
 HALVED = 4
 
-#: Distance (share of the box's width) from a side of its box within which an optimum lies on it.
+#: Distance (share of the box's width) within which an optimum counts as on a side of its box.
 ON_SIDE = 1e-3
 
-#: Frequencies of a spectrum that is drawn, and its relative error, which nobody sees.
+#: Frequencies of a plotted spectrum, and its relative error, which is invisible in a plot.
 DRAWN, DRAWN_WITHIN = 481, 1e-3
 
 
 @dataclass(frozen=True)
 class ChipSolver:
-    """Models of boxes of chips, and full solves of single chips, for a goal (`workbench.design.model`)."""
+    """Makes models and full solves of chips for a goal.
+
+    See `workbench.design.model`.
+    """
 
     goal: Goal
     registry: Registry | None
     accuracy: float | Discretisation
 
     def model(self, chip: Chip, ranges: Box, progress: Progress) -> DesignModel:
-        """The figures of `chip` anywhere in the `ranges`, which hold its own numbers.
+        """The figures of `chip` anywhere in the `ranges`.
+
+        The ranges include the chip's own numbers.
 
         Raises:
             NotCovered: the ranges are too wide.
@@ -88,7 +96,10 @@ class ChipSolver:
         return Spectrum.from_solver(frequency, solution.impedance, origin=Origin("simulated"))
 
     def snapshot(self, chip: Chip, frequency: float) -> Snapshot | None:
-        """The fields of `chip` at one frequency (Hz) under the goal's drive; None without a fluid in its cavity."""
+        """The fields of `chip` at one frequency (Hz) under the goal's drive.
+
+        None without a fluid in its cavity.
+        """
         goal = self.goal
         if not isinstance(fill(chip, goal.state, self.registry).materials.get(CAVITY), Fluid):
             return None
@@ -98,7 +109,7 @@ class ChipSolver:
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """The evaluator of one chip, of which nothing varies: its ``evaluation``."""
+    """The evaluator of one chip without variables, from its ``evaluation``."""
 
     evaluation: Evaluation
 
@@ -118,8 +129,8 @@ class Known:
 class Modelling:
     """A model and the programme on it.
 
-    ``box`` (m) is that of the unknowns, ``half_widths`` (m) the extent of boxes; ``seconds`` the time to make the
-    model.
+    ``box`` (m) is that of the unknowns, ``half_widths`` (m) are half the extents of boxes, and ``seconds`` is the time
+    to make the model.
     """
 
     box: Box
@@ -129,7 +140,10 @@ class Modelling:
 
     @property
     def facts(self) -> Mapping[str, float]:
-        """Rank, full solves and relative error of Z of a model on a reduced basis; nothing of another one."""
+        """Rank, full solves and relative error of Z of the model.
+
+        Empty if the model has no reduced basis.
+        """
         model = self.programme.evaluator
         if not isinstance(model, DesignModel) or model.range_model is None:
             return {}
@@ -138,7 +152,7 @@ class Modelling:
 
 
 def box_about(middle: Mapping[str, float], half_widths: HalfWidths, variables: Sequence[VariedNumber]) -> Box:
-    """The box about a `middle` (m), moved inwards where it crosses the bounds of the variables."""
+    """The box around a `middle` (m), moved inwards to stay within bounds."""
     found = {}
     for each in variables:
         width = min(2.0 * half_widths[each.name], each.high - each.low)
@@ -148,7 +162,10 @@ def box_about(middle: Mapping[str, float], half_widths: HalfWidths, variables: S
 
 
 def sides_within(lengths: Mapping[str, float], box: Box, variables: Sequence[VariedNumber]) -> tuple[str, ...]:
-    """The variables that lie on a side of the box that is no bound of theirs: beyond it may be better ones."""
+    """The variables on a side of the box inside their bounds.
+
+    Better points may lie beyond such a side.
+    """
     found = []
     for each in variables:
         (low, high), value = box[each.name], lengths[each.name]
@@ -162,13 +179,13 @@ def modelled(
     goal: Goal, selection: Selection, about: Mapping[str, float], half_widths: HalfWidths, solver: ChipSolver, say: Say,
     scenarios: ScenarioSample | None = None,
 ) -> Modelling:
-    """The programme of a goal on a model about the lengths `about` (m), as wide as `half_widths` (m) and the bounds let
-    it.
+    """The programme of a goal on a model around `about` (m).
 
-    With `scenarios` the model covers those too; the programme is still that of the nominal chip.
+    The model is as wide as `half_widths` (m) and the bounds allow. With `scenarios` it covers those too; the programme
+    is still that of the nominal chip.
 
     Raises:
-        NotCovered: no model, even of a box halved :data:`HALVED` times.
+        NotCovered: no model was possible, even of a box halved :data:`HALVED` times.
     """
     started = time.perf_counter()
     chosen = changed(goal.chip, selection.stock, selection.materials)
@@ -192,7 +209,10 @@ def modelled(
 
 
 def _with_scenarios(box: Box, chip: Chip, scenarios: ScenarioSample | None) -> Box:
-    """The box widened by the offsets of the scenarios, with the numbers that they alone move."""
+    """The box widened by the offsets of the scenarios.
+
+    It includes the numbers that only scenarios vary.
+    """
     found = dict(box)
     if scenarios is None:
         return found
@@ -207,7 +227,9 @@ def _with_scenarios(box: Box, chip: Chip, scenarios: ScenarioSample | None) -> B
 
 
 def scenario_sample(goal: Goal, registry: Registry | None = None) -> ScenarioSample | None:
-    """The scenario sample of the uncertainty of a goal's chip; None where the goal is not a robust one.
+    """The scenarios of the uncertainty of a goal's chip.
+
+    None if the goal is not robust.
 
     Raises:
         InputError: nothing is uncertain, or a tolerance or a posterior cannot be used.
@@ -228,9 +250,10 @@ def scenario_sample(goal: Goal, registry: Registry | None = None) -> ScenarioSam
 
 
 def half_widths_of(goal: Goal) -> HalfWidths:
-    """Half the extent (m) of the first model of a goal: a share of the present lengths, or of the nearest in bounds.
+    """The half-widths (m) of the first model's box.
 
-    The one model of an evolutionary search covers all bounds.
+    They are a share of the present lengths, or of the nearest lengths in bounds. The only model of an evolutionary
+    search covers all bounds.
     """
     if goal.search.evolutionary:
         return {each.name: each.high - each.low for each in goal.unknowns}
@@ -238,6 +261,6 @@ def half_widths_of(goal: Goal) -> HalfWidths:
 
 
 def present_of(goal: Goal) -> dict[str, float]:
-    """The present lengths (m) of the unknowns, the nearest ones where they are out of bounds."""
+    """The present lengths (m) of the unknowns, moved into their bounds."""
     known = {first_name(goal.chip, name): each.value for name, each in reversed(goal.chip.dimensions().items())}
     return {each.name: min(max(known[each.name], each.low), each.high) for each in goal.unknowns}

@@ -1,10 +1,13 @@
-"""The best chip for a goal: searched on reduced models, confirmed by full solves.
+"""Find the best chip for a goal and confirm it.
+
+The search is on reduced models, the confirmation by full solves:
 
     found = optimise(read_goal("goal.toml"))
     found.best.after.figures["e_ac"], found.best.chip.dimensions()["substrate.thickness"].value
 
-Every choice of stock lengths and materials is searched on models of its own, from many starts that share them. A model
-extends as far as `Search.reach` says; where the optimum lies on a side that is no bound, the next model lies about it.
+Every choice of stock lengths and materials is searched on its own models, from many starts that share them.
+`SearchOptions.reach` sets the width of a model. If the optimum lies on a side that is not a bound, the next model is
+centred on it.
 """
 
 from __future__ import annotations
@@ -41,9 +44,10 @@ CONFIRMED_AT_MOST = 3
 class Design(Brief):
     """The outcome of a goal.
 
-    ``before`` are the figures of the present chip by full solves; ``best`` the best chip that a full solve confirmed,
-    None if there is none, and ``why_not`` says why; ``rejected`` those before it whose full solve said otherwise;
-    ``front`` the chips between two objectives, confirmed at its ends and its knee; ``searched`` all choices.
+    ``before`` are the figures of the present chip by full solves. ``best`` is the best chip confirmed by a full solve;
+    it is None if there is none, and ``why_not`` explains why. ``rejected`` are the better candidates that their full
+    solve did not confirm. ``front`` are the chips between two objectives, confirmed at its ends and its knee.
+    ``searched`` are all choices.
     """
 
     goal: Goal
@@ -57,7 +61,7 @@ class Design(Brief):
 
     @property
     def chosen(self) -> ChoiceResult:
-        """The choice that the best chip, or else the best candidate, is of.
+        """The choice of the best chip, or else of the best candidate.
 
         Raises:
             ValueError: no choice has any point with figures.
@@ -75,19 +79,19 @@ def optimise(
     jobs: int | None = None, executor: Executor | None = None, progress: Progress = no_progress,
     keep: Keep | None = None, solver: ChipSolver | None = None,
 ) -> Design:
-    """The best chip for a goal.
+    """Find the best chip for a goal.
 
     Args:
         accuracy: of the meshes, see `workbench.model.discretisation`.
         jobs: starts at a time, in as many processes; one in this process if None.
-        executor: works out the starts in place of such processes, all at a time if `jobs` is None.
-        progress: called with the choice and what is done for it ("before: full solve"), and the share that is.
+        executor: runs the starts in place of such processes, all at a time if `jobs` is None.
+        progress: called with the choice, its present task ("before: full solve"), and the share that is done.
         keep: called with the best chip of the model so far, each time a start finds a better one.
-        solver: what gives models and full solves, those of `workbench.design.model` if None.
+        solver: makes models and full solves, those of `workbench.design.model` if None.
 
     Raises:
         InputError: something in the chip, its materials or the goal.
-        NotCovered: no model of the lengths is good enough, however narrow.
+        NotCovered: no model of the lengths is accurate enough, however narrow.
     """
     expect(goal, Goal, reader="read_goal", source="optimise", field="goal")
     started = time.perf_counter()
@@ -115,7 +119,7 @@ def optimise(
 
 
 def _improving(keep: Keep) -> Keep:
-    """`keep` called only with a chip that is better than all before."""
+    """`keep`, called only with a chip better than all before."""
     best = (True, math.inf)
 
     def offered(chip: Chip, point: ProgrammePoint) -> None:
@@ -144,9 +148,10 @@ def _best(design: Design, solver: ChipSolver, say: Callable[[str, float], None])
 
 
 def _front(design: Design, solver: ChipSolver, say: Callable[[str, float], None]) -> Design:
-    """`design` with the front between two objectives over all choices, confirmed at its ends and at its knee, the best.
+    """`design` with the front between two objectives over all choices.
 
-    The knee is nearest to having both objectives at their best, each counted over its extent on the front.
+    The front is confirmed at its ends and at its knee, which is the best chip. The knee is nearest to having both
+    objectives at their best, each scaled by its extent on the front.
     """
     members = sorted((each for one in design.searched for each in one.front), key=lambda one: one.objectives)
     front: list[RoundedDesign] = []

@@ -21,16 +21,17 @@ from workbench.jobs.workers import Task, Workers, itself
 Real = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: Points that a worker does at a time, about a second's work, which a kill loses at most for each worker. Half as many
-#: would double the share of the time that goes into sending models, some 2 %.
+#: Points that a worker evaluates at a time, about a second's work: a kill loses at most this for each worker. Half as
+#: many would double the share of the time for sending models, some 2 %.
 PARCEL = 50
 
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """Figures at ``points`` (n, inputs): ``values`` (n, figures), NaN where there is none.
+    """Figures at ``points`` (n, inputs).
 
-    ``missing`` counts, by figure, why there was none; ``error`` is the largest estimated relative error of Z.
+    ``values`` (n, figures) are NaN for figures that do not exist. ``missing`` counts the reasons, by figure. ``error``
+    is the largest estimated relative error of Z.
     """
 
     figures: tuple[str, ...]
@@ -48,7 +49,10 @@ def evaluate(
     evaluator: Evaluator, uncertainty: Uncertainty, points: Real, *, workers: Workers | None = None,
     progress: Progress = no_progress,
 ) -> Outcomes:
-    """The figures at `points` (n, inputs), numbers of the inputs of `uncertainty`, by `workers` or by this process."""
+    """The figures at `points` (n, inputs), by `workers` or this process.
+
+    The columns of `points` are the inputs of `uncertainty`.
+    """
     labels, workers = tuple(evaluator.figures), workers or Workers()
     workers.share(itself, evaluator)
     found: list[Evaluation | None] = [None] * len(points)
@@ -68,7 +72,10 @@ def evaluate(
 
 
 def parcels(rows: Indices, points: Real, names: Sequence[str]) -> Iterator[tuple[Indices, Task[list[Evaluation]]]]:
-    """Tasks of a shared evaluator, each with its `rows`: the figures at their `points` (n, numbers called `names`)."""
+    """Tasks of a shared evaluator, each with its `rows`.
+
+    A task gives the figures at its `points` (n, numbers), whose columns are `names`.
+    """
     for at in np.split(np.arange(len(rows)), range(PARCEL, len(rows), PARCEL)):
         yield rows[at], partial(_evaluated, names=tuple(names), rows=rows[at], points=points[at])
 
@@ -78,7 +85,7 @@ def _evaluated(evaluator: Evaluator, *, names: Sequence[str], rows: Indices, poi
     with one_thread():
         for row, point in zip(rows, points, strict=True):
             try:
-                # By place: of radii that coincide the model has another name.
+                # By position: radii that coincide have another name in the model.
                 found.append(evaluator(dict(zip(evaluator.names, map(float, point), strict=True))))
             except Exception as error:
                 if is_shortage(error):

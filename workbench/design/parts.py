@@ -1,4 +1,7 @@
-"""A study divided into parts, each of which one model serves: one state of the chip and one choice of materials."""
+"""A study divided into parts that each need one model.
+
+A part has one state of the chip and one choice of materials.
+"""
 
 from __future__ import annotations
 
@@ -35,11 +38,11 @@ SPECTRA = ".spectra.npz"
 
 @dataclass(frozen=True, eq=False)
 class StudyPart:
-    """Points of a study that one model serves.
+    """Points of a study that share one model.
 
-    ``number`` counts the parts, ``label`` tells them apart in words; ``chip`` in ``state`` is what is modelled, with
-    the ``materials`` chosen by region; ``rows`` (k,) of the study's table have the numbers ``points``
-    (k, numbers of the study).
+    ``number`` counts the parts and ``label`` names this one. The model is of ``chip`` in ``state``, with the
+    ``materials`` chosen by region. ``rows`` (k,) of the study's table have the numbers ``points`` (k, numbers of the
+    study).
     """
 
     number: int
@@ -52,18 +55,27 @@ class StudyPart:
 
 
 class Models(Protocol):
-    """The source of the models of a study. :meth:`confirmed` may be called in another process."""
+    """The source of the models of a study.
+
+    :meth:`confirmed` may be called in another process.
+    """
 
     def model(self, study: Study, part: StudyPart, path: Path, progress: Progress) -> Evaluator:
-        """The model of a part, which can be pickled: the one in the file `path`, which is made first if need be. Files
-        beside it, called alike, may keep its stages."""
+        """The model of a part, which can be pickled.
+
+        It is the one in the file `path`, which is made first if missing. Its stages may be saved in files beside it
+        with similar names.
+        """
 
     def confirmed(self, study: Study, part: StudyPart, point: Real) -> Evaluation:
-        """The figures at one point (numbers of the study,) of a part, by full solves."""
+        """The figures at one point (numbers of the study,), by full solves."""
 
 
 def parts_of(study: Study) -> list[StudyPart]:
-    """The parts of a study, states first; their rows together are all rows of the table, each once."""
+    """The parts of a study, states first.
+
+    Together they have every row of the table once.
+    """
     found: list[StudyPart] = []
     numbers, choices = study.columns(study.numbers), study.columns(study.choices).astype(np.int64)
     base = centred_in_ranges(study.chip, study.numbers)
@@ -78,7 +90,10 @@ def parts_of(study: Study) -> list[StudyPart]:
 
 
 def ranges_of(study: Study, part: StudyPart) -> Ranges:
-    """The ranges of the model of a part, wide enough for the numbers that its chip and materials have themselves."""
+    """The ranges of a part's model.
+
+    They include the numbers that its chip and materials have themselves.
+    """
     held = fill(part.chip, part.state, study.registry).materials.values()
     present = {f"{m.name}.{key}": value for m in held for key, value in m.parameters().items()}
     present |= {name: complex(each.value) for name, each in part.chip.dimensions().items()}
@@ -91,19 +106,19 @@ def ranges_of(study: Study, part: StudyPart) -> Ranges:
 
 @dataclass(frozen=True)
 class ReducedModels:
-    """Design models, kept on disk with the range models they are made from; confirmed by full solves on a mesh of the
-    chip's own.
+    """Design models saved on disk, and full solves that confirm them.
 
-    A model on the disk is used in any case, also right after it was made: arrays of another layout in memory give other
-    last bits.
+    The range models that they are made from are saved too. Full solves are on the chip's own mesh. A model is always
+    read back from the disk, even right after it was made, since another memory layout of the arrays gives other last
+    bits.
     """
 
     def model(self, study: Study, part: StudyPart, path: Path, progress: Progress) -> Evaluator:
         """The model of a part.
 
         Raises:
-            NotCovered: more full solves are needed for the spectra than the study allows.
-            NotConfirmed: full solves found figures that are further off than the study's tolerance.
+            NotCovered: the spectra need more full solves than the study allows.
+            NotConfirmed: full solves found a larger error than the study's tolerance.
         """
         chip, state, ranges, registry = part.chip, part.state, ranges_of(study, part), study.registry
 
@@ -133,7 +148,10 @@ class ReducedModels:
 
 
 def _kept(path: Path, make: Callable[[], M], read: Callable[[Path], M]) -> M:
-    """The model in a file; it is made if there is none, and with a warning if the file is damaged."""
+    """The model in a file.
+
+    It is made if the file is missing, and again, with a warning, if the file is damaged.
+    """
     if path.exists():
         try:
             return read(path)

@@ -1,4 +1,4 @@
-"""A study: a chip, what varies, and the figures that are asked for, as one value, read from a file.
+"""A study of a chip from a file: variables, sample and figures.
 
     [study]
     chip = "chip.toml"              # path relative to the study's file
@@ -71,7 +71,10 @@ _KEYS = ("name", "chip", "state", "states", "figures", "drive", "frequency", "ba
 
 @dataclass(frozen=True)
 class Sampling:
-    """``method`` is one of :data:`METHODS`; ``points`` and ``seed`` those of a Sobol sequence or a Latin hypercube."""
+    """The sampling ``method`` of a study, one of :data:`METHODS`.
+
+    ``points`` and ``seed`` are those of a Sobol sequence or a Latin hypercube.
+    """
 
     method: str = GRID
     points: int = 0
@@ -80,12 +83,12 @@ class Sampling:
 
 @dataclass(frozen=True, init=False)
 class Study:
-    """A study of a chip whose description has been checked.
+    """A study of a chip with a checked description.
 
-    ``axes`` vary as ``sampling`` says, in every one of ``states``; ``figures`` by name; ``band`` (Hz) where the
-    resonance is looked for; ``relative_error`` of the reduced model's impedance, made with ``limit`` full solves at
-    most; ``accuracy`` that of the mesh; ``confirmed`` how many points are solved in full at the end; ``file`` the name
-    that mistakes are reported under: that of the file, or "Study".
+    ``axes`` are the variables, sampled by ``sampling`` in every one of ``states``. ``figures`` are by name. The
+    resonance is searched within ``band`` (Hz). ``relative_error`` is that of the reduced model's impedance, made with
+    at most ``limit`` full solves; ``accuracy`` is that of the mesh. ``confirmed`` points are solved in full at the end.
+    Errors are reported under ``file``: the name of the file, or "Study".
     """
 
     name: str
@@ -124,10 +127,11 @@ class Study:
         registry: Registry | None = None,
         source: str = ProgramSource("Study"),
     ) -> None:
-        """A study of a chip from values as a study's file has them, where numbers may stand in SI without units.
+        """Make a study of a chip from values of a study file.
 
-        `vary`, `sample` and `thermal` are the tables of the file (:mod:`workbench.design.plan`); materials come from
-        the user's registry unless another is given; `relative_error` is 0.1 % and `accuracy` 0.05 % unless stated.
+        Numbers without units are SI. `vary`, `sample` and `thermal` are the tables of the file
+        (:mod:`workbench.design.plan`). Materials come from the user's registry unless another is given.
+        `relative_error` is 0.1 % and `accuracy` 0.05 % unless stated.
 
         Raises:
             InputError: the values do not describe a study.
@@ -142,7 +146,7 @@ class Study:
         head = table.table("study")
         registry = replace(user_registry(), assumed_losses=True) if registry is None else registry
         chosen = _states(head, chip)
-        wanted = check_figures(head.texts("figures", expected='the figures asked for, such as ["f0", "e_ac"]'),
+        wanted = check_figures(head.texts("figures", expected='names of figures, such as ["f0", "e_ac"]'),
                                chip.regions, source=source, field=head.at("figures"))
         if not wanted:
             raise head.error("figures", "one figure at least")
@@ -162,7 +166,7 @@ class Study:
             discretisation(self.accuracy)
         except InputError as error:
             raise head.error("accuracy", error.expected) from None
-        # So that a mistake is answered where the study is made, not where its points are first asked for.
+        # Sample now, so that a mistake raises here and not at the first use of the points.
         _ = self.sample
 
     @cached_property
@@ -172,7 +176,10 @@ class Study:
 
     @property
     def size(self) -> int:
-        """Points of all states: row ``s * n + i`` of the study's table is point i in state s."""
+        """The number of points in all states.
+
+        Row ``s * n + i`` of the study's table is point i in state s.
+        """
         return len(self.states) * len(self.sample)
 
     @property
@@ -186,13 +193,14 @@ class Study:
         return tuple(axis for axis in self.axes if isinstance(axis, MaterialChoice))
 
     def columns(self, axes: Sequence[Variable]) -> Real:
-        """The columns (n, len(axes)) of the sample that belong to some of the axes."""
+        """The columns (n, len(axes)) of the sample for some axes."""
         return self.sample[:, [self.axes.index(axis) for axis in axes]]
 
 
 def read_study(path: Path | str, *, materials: Sequence[Path | str] = (), inviscid: bool = False) -> Study:
-    """Read and check a study's file and the chip it names; `materials` are further folders of materials. One that is
-    `inviscid` leaves out the boundary layers in cavities.
+    """Read and check a study's file and its chip.
+
+    `materials` are further folders of materials. `inviscid` leaves out the boundary layers in cavities.
 
     Raises:
         InputError: a mistake in one of the files.
@@ -202,8 +210,8 @@ def read_study(path: Path | str, *, materials: Sequence[Path | str] = (), invisc
     table.required("study", "a table [study] with the chip and the figures")
     head = table.table("study", expected="a table [study]").only(_KEYS, renamed={"tolerance": "relative_error"})
     chip = read_chip(head.path("chip", path.parent, expected="the path of a chip file"))
-    head.texts("figures", expected='the figures asked for, such as ["f0", "e_ac"]')
-    table.required("vary", "a table [vary] of what varies")
+    head.texts("figures", expected='names of figures, such as ["f0", "e_ac"]')
+    table.required("vary", "a table [vary] of the variables")
     said = {key: value for key, value in head.content.items() if key not in ("chip", "name")}
     tables: dict[str, Any] = {key: table.content.get(key) for key in ("thermal", "sample")}
     registry = replace(user_registry(materials, inviscid=inviscid), assumed_losses=True)
@@ -226,10 +234,10 @@ def _states(head: FileTable, chip: Chip) -> tuple[str, ...]:
 
 
 def band_key(head: FileTable, chip: Chip) -> tuple[float, float] | None:
-    """The key ``band`` (Hz) of a table, None if absent.
+    """Read the key ``band`` (Hz) of a table, None if absent.
 
     Raises:
-        InputError: no two frequencies, or a band in which no chip of this size resonates.
+        InputError: not two frequencies, or a band in which no chip of this size resonates.
     """
     if "band" not in head:
         return None
@@ -243,9 +251,9 @@ def band_key(head: FileTable, chip: Chip) -> tuple[float, float] | None:
 
 
 def frequency_key(head: FileTable, band: tuple[float, float]) -> float | str | None:
-    """The key ``frequency`` of a table: a frequency (Hz) within the `band`, a word, or None if absent.
+    """Read the key ``frequency`` of a table.
 
-    The words are those of `geometry.operating_point.OPERATING_POINTS`.
+    It is a frequency (Hz) within the `band`, a word of `geometry.operating_point.OPERATING_POINTS`, or None if absent.
 
     Raises:
         InputError: none of these.
@@ -261,7 +269,7 @@ def frequency_key(head: FileTable, band: tuple[float, float]) -> float | str | N
 
 
 def read_sampling(table: FileTable) -> Sampling:
-    """The sampling that the table [sample] states; a grid where there is none.
+    """Read the table [sample]; without a method it is a grid.
 
     Raises:
         InputError: an unknown method, or points of a grid or a list.
@@ -278,12 +286,13 @@ def read_sampling(table: FileTable) -> Sampling:
 
 
 def sample_points(axes: Sequence[Variable], sampling: Sampling, *, source: str) -> Real:
-    """The points (n, len(axes)): numbers in SI, materials by their place in the list of alternatives.
+    """The points (n, len(axes)) of one state.
 
-    On a grid the last axis changes fastest. The first points of a Sobol sequence are the same however many there are.
+    Numbers are in SI, materials are indices in their list of alternatives. On a grid the last axis changes fastest. The
+    first points of a Sobol sequence do not depend on its length.
 
     Raises:
-        InputError: columns of a list that are not equally long, or more than :data:`MOST` points.
+        InputError: columns of a list with different lengths, or more than :data:`MOST` points.
     """
     if sampling.method == GRID:
         levels = [axis.levels() for axis in axes]

@@ -1,13 +1,15 @@
-"""A requirement on a chip, as a sentence: ``f0 within 5 kHz``, ``E_ac >= 20 J/m^3 at 10 Vpp``.
+"""Requirements on a chip, written as sentences.
+
+They are such as ``f0 within 5 kHz`` or ``E_ac >= 20 J/m^3 at 10 Vpp``:
 
     <figure> within <margin> [of <centre>] [at <drive>]
     <figure> within [<low>, <high>] [at <drive>]
     <figure> >= <number> [at <drive>]          or <=
 
-A design keeps to bounds: requirements, or limits of sums of lengths, ``substrate.radius - cavity.radius >= 0.8 mm``.
+The bounds of a design are requirements, or limits of sums of lengths, ``substrate.radius - cavity.radius >= 0.8 mm``.
 
-Figures are those of `workbench.design.figures`, in capitals or not. Without a centre, a margin is about what the chip
-as stated does; a margin may be a percentage of its centre. The drive is as of `workbench.model.drive.parse_drive`.
+Figures are those of `workbench.design.figures`, in any case. A margin without a centre is about the figure of the chip
+as stated; a margin may be a percentage of its centre. The drive is as in `workbench.model.drive.parse_drive`.
 """
 
 from __future__ import annotations
@@ -37,10 +39,10 @@ _TERM = re.compile(r"\s*([+-])\s*([\w.]+)\s*")
 
 @dataclass(frozen=True)
 class Requirement:
-    """One requirement, in SI: the ``figure`` from ``low`` to ``high``.
+    """A requirement that the ``figure`` is from ``low`` to ``high`` (SI).
 
-    With a ``margin`` these are unknown until the centre is: ``centre`` is that, None where it is the chip's own figure,
-    and ``relative`` says that the margin is a share of it. ``drive`` is None where none is stated.
+    With a ``margin`` these follow from the ``centre``, which is None for the chip's own figure. A ``relative`` margin
+    is a share of the centre. ``drive`` is None if not stated.
     """
 
     text: str
@@ -53,7 +55,9 @@ class Requirement:
     relative: bool = False
 
     def limits(self, nominal: float) -> tuple[float, float]:
-        """Lowest and highest figure that will do, for a chip as stated of `nominal` figure (SI).
+        """The lowest and highest figure that satisfies the requirement (SI).
+
+        `nominal` (SI) is the figure of the chip as stated.
 
         Raises:
             InputError: the margin is about the chip's own figure, and it has none.
@@ -71,10 +75,10 @@ class Requirement:
 def parse_requirement(
     text: str, regions: Iterable[str], *, source: str = "command line", field: str = "--require"
 ) -> Requirement:
-    """The requirement that a sentence states, of a chip with these `regions`.
+    """Parse the requirement in a sentence, for a chip with these `regions`.
 
     Raises:
-        InputError: it is none: no known figure, no comparison, a number of another dimension, an unknown drive.
+        InputError: no known figure, no comparison, a number of another dimension, or an unknown drive.
     """
     found, place = _SENTENCE.fullmatch(text) if isinstance(text, str) else None, f'{field} "{text}"'
     if found is None:
@@ -107,7 +111,7 @@ def parse_requirement(
         return Requirement(text, figure, drive, low=low, high=high)
     centred = _CENTRED.fullmatch(what)
     written = what if centred is None else centred["margin"]
-    # A figure in per cent has its margin in per cent.
+    # The margin of a figure in per cent is absolute.
     relative = written.rstrip().endswith("%") and figure.shown != "%"
     margin = number(written, "dimensionless" if relative else figure.dimension)
     centre = None if centred is None else number(centred["centre"])
@@ -122,7 +126,7 @@ def parse_requirement(
 def parse_requirements(
     texts: Sequence[str], regions: Iterable[str], *, source: str = "command line", field: str = "--require"
 ) -> tuple[Requirement, ...]:
-    """Requirements, each stated once.
+    """Parse several requirements, each stated once.
 
     Raises:
         InputError: as :func:`parse_requirement`, or the same sentence twice.
@@ -146,9 +150,9 @@ def parse_requirements(
 class Bound:
     """A limit of a figure, or of a sum of lengths.
 
-    ``weights`` by name of the figure or the lengths, whose weighted sum (SI) is limited; ``limit`` in SI; ``above``:
-    the sum stays above it; ``scale`` (SI, above zero) is the unit of distances to it: the size of a limit, half the
-    distance of two ends. ``text`` is the sentence as written.
+    ``weights`` are by name of the figure or the lengths, whose weighted sum (SI) is limited. ``limit`` is in SI; if
+    ``above``, the sum must not be below it, otherwise not above. ``scale`` (SI, above zero) is the unit of distances to
+    it: the size of a limit, or half the distance between two ends. ``text`` is the sentence as written.
     """
 
     weights: Mapping[str, float]
@@ -170,8 +174,11 @@ class Bound:
         return next(iter(self.weights))
 
     def margin(self, values: Mapping[str, Any]) -> Any:
-        """The distance, in scales, of the sum of `values` (SI, by name; numbers or `workbench.fem.dual.Dual`) from the
-        limit, positive where it is kept; NaN where a value is."""
+        """The distance, in scales, of the weighted sum from the limit.
+
+        It is positive if the bound is satisfied, and NaN if a value is. `values` (SI) are by name, numbers or
+        `workbench.fem.dual.Dual`.
+        """
         first, *others = (values[name] * weight for name, weight in self.weights.items())
         total = sum(others, first)
         return (total - self.limit if self.above else total * -1.0 + self.limit) / self.scale
@@ -180,26 +187,27 @@ class Bound:
 def parse_bounds(
     text: str, lengths: Mapping[str, str], regions: Iterable[str], drive: Drive, *, source: str, field: str
 ) -> tuple[Bound, ...]:
-    """The one or two bounds that a text states, of a chip with these `regions`, driven by `drive`.
+    """Parse the one or two bounds in a text.
 
-    `lengths` are the names that lengths have in the bound, by name: radii that coincide are one length.
+    The chip has these `regions` and is driven by `drive`. `lengths` maps names of lengths to their names in the bound:
+    radii that coincide are one length.
 
     Raises:
-        InputError: another sentence, an unknown name, a limit that is no quantity of that kind, or another drive.
+        InputError: another sentence, an unknown name, a limit that is not a quantity of that kind, or another drive.
     """
     found = _LENGTHS.fullmatch(text)
     words = re.findall(r"[\w.]+", found["sum"]) if found else []
-    # A sum is meant to be one of lengths if it names one, or adds up.
+    # It is a sum of lengths if it names a length, or has several terms.
     if found and (len(words) > 1 or lengths.keys() & words):
         weights = _weights(found["sum"], lengths, source=source, field=field)
         limit = parse_quantity(found["limit"], "length", source=source, field=f'{field} "{text}"')
-        # A clearance of zero is given in millimetres.
+        # A limit of zero has the scale of a millimetre.
         return (Bound(weights, limit, found["sign"] == ">=", abs(limit) or 1e-3, text, True),)
     required = parse_requirement(text, regions, source=source, field=field)
     if required.drive is not None and required.drive != drive:
         raise InputError(source, field, text, f"the drive of the goal, {drive}: an optimum is of one drive")
     if required.margin is not None and required.centre is None:
-        raise InputError(source, field, text, 'a centre, "within ... of ...": what the chip does changes here')
+        raise InputError(source, field, text, 'a centre, "within ... of ...": a design changes the chip itself')
     low, high = required.limits(math.nan)
     bounded = [(end, above) for end, above in ((low, True), (high, False)) if math.isfinite(end)]
     scale = 0.5 * (high - low) if len(bounded) == 2 else abs(bounded[0][0])

@@ -1,9 +1,9 @@
-"""The resonance of a model, on the model itself rather than on points of a spectrum: of its impedance or its energy.
+"""The resonance of a model's impedance or energy, with exact derivatives.
 
-A level L(f) has exact derivatives: ln |Z|, or -ln(E)/2 of the mean energy density of sound in the cavity
-(`workbench.fem.level`). The resonance f0 is a root of L', the half-power frequencies f1 and f2 are roots of
-L - L(f0) - ln(2)/2, all found by Newton's method between points of a spectrum; the derivatives of the roots by a
-parameter follow from those of L (implicit function theorem):
+It is found on the model itself, not on points of a spectrum. A level L(f) has exact derivatives: ln |Z|, or -ln(E)/2 of
+the mean energy density of sound in the cavity (`workbench.fem.level`). The resonance f0 is a root of L', the half-power
+frequencies f1 and f2 are roots of L - L(f0) - ln(2)/2. Newton's method finds all of them between points of a spectrum.
+The derivatives of the roots by a parameter follow from those of L (implicit function theorem):
 
     f0' = -L_f,theta / L_ff,   L(f0)' = L_theta(f0),   fi' = (L_theta(f0) - L_theta(fi)) / L_f(fi)
 
@@ -34,16 +34,19 @@ Complex = NDArray[np.complex128]
 HALF = 0.5 * math.log(2.0)
 #: Relative change of a frequency below which Newton's method has converged: a millihertz of a megahertz.
 CONVERGED = 1e-9
-#: Difference of two levels that rounding makes.
+#: Difference of two levels due to rounding.
 ROUNDING = 1e-12
-#: Most steps of it; it falls back on bisection, which gains a bit each.
+#: Most steps of Newton's method; it falls back on bisection, which gains one bit a step.
 STEPS = 60
 
 
 @dataclass(frozen=True, eq=False)
 class Responding:
-    """A model to be driven: the ``system`` that is solved, its parameter ``values``, and the energy of its ``sound``,
-    None where the cavity holds no fluid."""
+    """A model that gives the response to a drive.
+
+    ``system`` is solved with the parameter ``values``. ``sound`` is the energy of sound in the cavity, None without a
+    fluid.
+    """
 
     system: FullSystem | ReducedSystem
     values: Mapping[str, complex]
@@ -52,7 +55,7 @@ class Responding:
 
 @dataclass(frozen=True)
 class Impedance:
-    """The smallest |Z|: f0, Z_min and Q of a circuit (`workbench.results.merit`).
+    """The response |Z|: f0, Z_min and Q of a circuit (`workbench.results.merit`).
 
     A response is a level of a state over frequency that is least at a resonance and ln(2)/2 higher at half power.
     """
@@ -62,7 +65,10 @@ class Impedance:
         return -np.log(solution.omega * np.abs(solution.charge))
 
     def state(self, model: Responding, frequency: float, names: tuple[str, ...] = ()) -> LinearisedState:
-        """The state of a model at a frequency (Hz), with the derivatives that :meth:`level` needs."""
+        """The state of a model at a frequency (Hz).
+
+        It has the derivatives that :meth:`level` needs.
+        """
         return model.system.linearised(frequency, names)
 
     def level(self, model: Responding, state: LinearisedState, turns: Complex = NO_NUMBERS) -> Level:
@@ -70,7 +76,7 @@ class Impedance:
         return impedance_level(state, turns)
 
     def deepest(self, level: Real) -> int | None:
-        """The index of the resonance among levels (n,), None where there is none."""
+        """The index of the resonance among levels (n,), None without one."""
         lowest = int(np.argmin(level))
         return None if lowest in (0, level.size - 1) else lowest
 
@@ -81,9 +87,9 @@ class Impedance:
 
 @dataclass(frozen=True)
 class Energy:
-    """The largest mean energy density of sound in the cavity under a ``drive``; the level is -ln(E)/2.
+    """The largest mean energy density of sound in the cavity.
 
-    Methods are those of :class:`Impedance`.
+    The level is -ln(E)/2 under the ``drive``. Methods are those of :class:`Impedance`.
     """
 
     drive: Drive
@@ -113,10 +119,11 @@ ResonantQuantity = Impedance | Energy
 
 @dataclass(frozen=True, eq=False)
 class Resonance:
-    """A resonance of a response: the state ``at`` about its frequency, and the levels there and about the two
-    half-power frequencies, None where a neighbour or the end of the band is in the way, and ``reason`` says which.
+    """A resonance of a response and its half-power points.
 
-    The frequencies themselves are a last step of Newton's method from these.
+    ``at`` is the state near its frequency and ``level`` the level there. ``sides`` are the two frequencies near half
+    power (Hz) with their levels. They are None if a neighbouring resonance or the end of the band is in the way, and
+    ``reason`` explains which. The exact frequencies are one more step of Newton's method.
     """
 
     at: LinearisedState
@@ -126,18 +133,18 @@ class Resonance:
 
     @property
     def frequency(self) -> Dual:
-        """Hz."""
+        """The frequency, in Hz."""
         return Dual(self.at.frequency - self.level.slope / self.level.curvature,
                     -self.level.mixed / self.level.curvature)
 
     @property
     def least(self) -> Dual:
-        """The least level."""
+        """The level at the resonance."""
         return Dual(self.level.value - 0.5 * self.level.slope**2 / self.level.curvature, self.level.by_number)
 
     @property
     def q(self) -> Dual:
-        """The frequency over the width at half power, NaN without sides."""
+        """The frequency divided by the half-power width, NaN without sides."""
         if self.sides is None:
             return self.frequency * math.nan
         half = self.least + HALF
@@ -150,11 +157,11 @@ def find_resonance(
     response: ResonantQuantity, model: Responding, frequency: Real, level: Real, names: tuple[str, ...] = (),
     turns: Complex = NO_NUMBERS, final: Responding | None = None,
 ) -> Resonance:
-    """The deepest resonance of a `response` of a `model` whose `level` (n,) at some ascending `frequency` (n,) Hz is
-    known.
+    """Find the deepest resonance of a `response` of a `model`.
 
-    The states are those of `final` where that is given: a better model, not asked more than thrice. The complex
-    parameters `names` move by `turns` with the numbers that derivatives are taken by.
+    `level` (n,) is known at some ascending `frequency` (n,) Hz. With `final`, a better model, the states are those of
+    that model, evaluated at most three times. The derivatives of the complex parameters `names` by the numbers are
+    `turns`.
 
     Raises:
         NoResonance: the response is least at an edge of the band.
@@ -194,13 +201,14 @@ def find_resonance(
 
 
 def _minimum(level: Callable[[float], Level], points: Real, nearest: int) -> float:
-    """The frequency of the least level between ascending `points` (Hz), about the one of index `nearest`.
+    """Find the frequency (Hz) of the least level.
 
-    The points may be those of a rougher model: its neighbour may be lower. Newton's method between points that are
-    higher; a step that leaves them, or does not go down, halves the larger part instead.
+    The search is between ascending `points` (Hz) and starts at index `nearest`. The points may come from a rougher
+    model, so that a neighbour may be lower. Newton's method runs between two higher points; a step that leaves them, or
+    does not decrease the level, is replaced by halving the larger part.
 
     Raises:
-        NoResonance: the level goes down to the first or last point.
+        NoResonance: the level decreases to the first or last point.
     """
     while True:
         if nearest in (0, points.size - 1):
@@ -221,7 +229,7 @@ def _minimum(level: Callable[[float], Level], points: Real, nearest: int) -> flo
         if not low < further < high:
             further = 0.5 * (middle + (high if high - middle > middle - low else low))
         there = level(further)
-        # To rounding, a flatter place is a lower one.
+        # Within rounding, a flatter place counts as lower.
         if there.value < here.value or (there.value <= here.value + ROUNDING and abs(there.slope) < abs(here.slope)):
             low, high = (middle, high) if further > middle else (low, middle)
             middle = further
@@ -234,10 +242,10 @@ def _root(
     level: Callable[[float], Level], ends: tuple[float, float], start: float,
     function: Callable[[Level], tuple[float, float]], *, rising: bool,
 ) -> float:
-    """The frequency where a `function` of the `level`, which gives its value and derivative, is zero between two `ends`
-    (Hz).
+    """Find a zero of a `function` of the level, between `ends` (Hz).
 
-    Newton's method; a step that leaves the rest of the interval halves it instead.
+    `function` gives its value and derivative. A step of Newton's method that leaves the rest of the interval is
+    replaced by halving it.
 
     Raises:
         NoResonance: the function has no zero there.

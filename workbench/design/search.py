@@ -1,7 +1,7 @@
-"""Many starts of one search, which of their ends are the same optimum, and fronts between two objectives.
+"""Multi-start search, its distinct optima, and fronts between two objectives.
 
-A start looks at points of its own, spread evenly (Sobol), and descends from the best of them; no start knows of
-another. So how many of them end at the best optimum says how surely it is the best one within the ranges.
+Each start evaluates its own evenly spread points (Sobol) and descends from the best of them, independently of the other
+starts. So the share of starts that end at the best optimum shows how reliable it is within the ranges.
 """
 
 from __future__ import annotations
@@ -25,13 +25,16 @@ from workbench.search.optimum import distinct, is_same_optimum
 
 Real = NDArray[np.float64]
 
-#: Points closer than this in every unknown lead to the same end as a rule: one of them is enough to descend from.
+#: Points closer than this in every unknown usually lead to the same end: only one of them starts a descent.
 BESIDE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """An optimum: the best ``descent`` that ends there, and the numbers of the ``starts`` that found it."""
+    """An optimum that one or more starts found.
+
+    ``descent`` is the best one that ends there, ``starts`` are the numbers of the starts.
+    """
 
     descent: DesignDescent
     starts: tuple[int, ...]
@@ -43,7 +46,7 @@ class Optimum:
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """One start: its number, and its descents, the best first."""
+    """One start: its number, and its descents, best first."""
 
     number: int
     descents: tuple[DesignDescent, ...]
@@ -57,11 +60,14 @@ def attempt(
     programme: NonlinearProgramme, search: SearchOptions, number: int, present: Real | None = None,
     stock: Mapping[str, float] = MappingProxyType({}),
 ) -> Attempt:
-    """The start of that number with the `stock` lengths (m) fixed; with `present` (n,) also from that point."""
+    """Run the start of that number, with the `stock` lengths (m) fixed.
+
+    With `present` (n,) a descent also begins at that point.
+    """
     free = [each.name not in stock for each in programme.variables]
     programme = programme.holding(stock)
     size = len(programme.variables)
-    # A power of two, as Sobol points are even in; what is beyond is not looked at.
+    # Sobol points are even in powers of two; surplus points are not evaluated.
     drawn = qmc.Sobol(size, seed=np.random.default_rng([search.seed, number])).random_base2(
         math.ceil(math.log2(search.looked_at)))[: search.looked_at] if size else ()
     looked_at = sorted((programme(x, gradient=False) for x in drawn), key=lambda each: each.rank)
@@ -77,9 +83,10 @@ def search_all(
     programme: NonlinearProgramme, search: SearchOptions, present: Real, *, workers: Workers,
     finished: Callable[[Attempt, float], None] | None = None, stock: Sequence[Mapping[str, float]] = (),
 ) -> list[Attempt]:
-    """All starts in the order of their numbers; of `stock` lengths (m), one start for each choice.
+    """Run all starts, and return them in the order of their numbers.
 
-    `finished` is called with each start as it ends, in any order, and the share that has ended.
+    With `stock` lengths (m) there is one start for each choice of them. `finished` is called with each start as it
+    ends, in any order, and the share that has ended.
     """
     starts = [partial(attempt, search=search, number=number, present=present if number == 0 or stock else None,
                       stock=each) for number, each in enumerate(stock or [{}] * search.starts)]
@@ -93,9 +100,10 @@ def search_all(
 
 
 def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
-    """The distinct optima, the best first; ends that are not stationary are compared like the others.
+    """The distinct optima, best first.
 
-    A start counts for the optimum that its best descent found.
+    Ends that are not stationary are compared like the others. A start counts for the optimum that its best descent
+    found.
     """
     ends = [(each, start.number) for start in attempts for each in start.descents]
     groups = distinct(ends, lambda end, best: _same(end[0].point, best[0].point), lambda end: end[0].point.rank)
@@ -105,7 +113,10 @@ def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
 
 
 def _same(one: ProgrammePoint, other: ProgrammePoint) -> bool:
-    """Whether two points with figures are one optimum; the scale of an unknown is its range."""
+    """Whether two points with figures are one optimum.
+
+    The scale of an unknown is its range.
+    """
     return one.exists and other.exists and is_same_optimum(one.x, other.x, np.zeros(one.x.size), 1.0)
 
 
@@ -113,10 +124,11 @@ def front(
     programme: NonlinearProgramme, objectives: Sequence[DesignObjective], search: SearchOptions, present: Real,
     points: int, *, workers: Workers, say: Callable[[float], None] = lambda share: None,
 ) -> list[tuple[NonlinearProgramme, DesignDescent]]:
-    """Descents to `points` points from the optimum of the first objective to that of the second, with their programmes.
+    """The Pareto front between two objectives, as `points` descents.
 
-    One objective is optimised, the other one bounded (epsilon-constraint method); the bound goes in equal steps of its
-    logarithm. No point if a figure does not exist.
+    The descents run from the optimum of the first objective to that of the second, each with its programme. One
+    objective is optimised with a bound on the other (epsilon-constraint method); the bound moves in equal steps of its
+    logarithm. The front is empty if a figure does not exist.
     """
     one, other = (programme.under(each) for each in objectives)
     first, last = (attempt(each, search, 0, present).best for each in (one, other))
@@ -141,7 +153,7 @@ def front(
 
 
 def _bounded(programme: NonlinearProgramme, bound: Bound) -> NonlinearProgramme:
-    """The programme with one bound more."""
+    """The programme with one more bound."""
     return replace(programme, bounds=(*programme.bounds, bound))
 
 

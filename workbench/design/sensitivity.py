@@ -1,11 +1,12 @@
-"""Sensitivities: the change of every figure of a chip with every number, at the chip as stated and over its
-uncertainty.
+"""Sensitivities of every figure of a chip to every number.
 
-Derivatives are exact ones of full solves (`workbench.design.model.full_evaluation`); the change of a figure is given
-for the standard uncertainty of each number, or for :data:`SHARE` of the number where none is stated. Sobol indices give
-the share of a figure's variance that a number causes, alone (first order) and with all others (total).
+They are local, at the chip as stated, or over its uncertainty. Derivatives are exact ones of full solves
+(`workbench.design.model.full_evaluation`). The change of a figure is given for the standard uncertainty of each number,
+or for :data:`SHARE` of the number if none is stated. Sobol indices give the share of a figure's variance that a number
+causes, alone (first order) and with all others (total).
 
-(`workbench sensitivity` is another question: which constants of a free disc its spectrum determines, as in the paper.)
+(`workbench sensitivity` answers another question: which constants of a free disc its spectrum determines, as in the
+paper.)
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from workbench.model.numbers import Number
 
 Real = NDArray[np.float64]
 
-#: Change of a number whose uncertainty nobody states, relative: the unit of its influence.
+#: Relative change of a number without a stated uncertainty: the unit of its influence.
 SHARE = 0.01
 
 #: Confidence of the intervals of Sobol indices.
@@ -41,9 +42,9 @@ CONFIDENCE = 0.95
 class Sensitivities:
     """Exact first-order sensitivities of figures at ``nominal`` numbers.
 
-    ``steps`` (k,) SI are the standard uncertainties of the numbers ``names``, or :data:`SHARE` of them where not
-    ``stated``; ``figures`` SI by label, ``gradient`` (k,) SI per SI by label. ``missing`` says of a figure that there
-    is not why.
+    ``steps`` (k,) SI are the standard uncertainties of the numbers ``names``, or :data:`SHARE` of them if not
+    ``stated``. ``figures`` are SI by label, ``gradient`` (k,) SI per SI by label. ``missing`` has the reasons for
+    figures that do not exist.
     """
 
     names: tuple[str, ...]
@@ -55,16 +56,22 @@ class Sensitivities:
     missing: Mapping[str, str] = field(default_factory=dict)
 
     def changes(self, label: str) -> Real:
-        """The change (k,) of the figure as each number grows by its step, to first order."""
+        """The first-order change (k,) of the figure for each step."""
         return self.gradient[label] * self.steps
 
     def ranked(self, label: str) -> list[int]:
-        """The numbers by the size of their effect on the figure, largest first; those of unknown influence last."""
+        """The numbers by their effect on the figure, largest first.
+
+        Numbers of unknown effect are last.
+        """
         size = np.abs(self.changes(label))
         return sorted(range(len(self.names)), key=lambda k: -size[k] if math.isfinite(size[k]) else math.inf)
 
     def deviation(self, label: str, uncertainty: Uncertainty) -> float:
-        """Standard uncertainty of the figure to first order, correlations included."""
+        """The standard uncertainty of the figure to first order.
+
+        Correlations are included.
+        """
         slopes = np.array([self.gradient[label][self.names.index(name)] for name in uncertainty.names])
         return float(np.sqrt(max(slopes @ uncertainty.covariance @ slopes, 0.0)))
 
@@ -85,11 +92,11 @@ def sensitivities(found: Evaluation, uncertainty: Uncertainty) -> Sensitivities:
 
 @dataclass(frozen=True, eq=False)
 class SobolIndices:
-    """Shares of the variance of figures, over independent numbers.
+    """Sobol indices: shares of the variance of figures, over independent numbers.
 
-    Each of ``first``, ``total`` (figures, inputs) with the ends of its interval ``_low``, ``_high``, at
-    :data:`CONFIDENCE`; NaN for a figure that does not exist at some of the points, or never changes. ``evaluations`` is
-    what it took.
+    ``first`` and ``total`` (figures, inputs) have the ends of their intervals in ``_low`` and ``_high``, at
+    :data:`CONFIDENCE`. They are NaN for a figure that does not exist at some of the points, or never changes.
+    ``evaluations`` counts the evaluations.
     """
 
     figures: tuple[str, ...]
@@ -104,10 +111,10 @@ class SobolIndices:
 
 
 def check_sobol(uncertainty: Uncertainty, count: int, *, source: str, field: str) -> None:
-    """Refuse what Sobol indices are not defined for.
+    """Raise if Sobol indices are not defined for the request.
 
     Raises:
-        InputError: correlated inputs, none at all, or a count that is no power of two.
+        InputError: correlated inputs, no inputs, or a count that is not a power of two.
     """
     if count < 2 or count & (count - 1):
         below = 2 ** max(1, int(math.log2(max(count, 2))))
@@ -126,7 +133,9 @@ def sobol(
     evaluator: Evaluator, uncertainty: Uncertainty, count: int, *, seed: int = 0, workers: Workers | None = None,
     progress: Progress = no_progress,
 ) -> SobolIndices:
-    """Sobol indices by `count` (2 + inputs) evaluations (Saltelli 2010), with bootstrap intervals.
+    """Sobol indices with bootstrap intervals (Saltelli 2010).
+
+    They need `count` (2 + inputs) evaluations.
 
     Raises:
         InputError: see :func:`check_sobol`.
@@ -137,20 +146,20 @@ def sobol(
     size, asked, seen = len(uncertainty.inputs), tuple(evaluator.figures), list[Real]()
 
     def outcome(points: Real) -> Real:
-        # One row an input; scipy asks for A, B, and A with the columns of B, all at once.
+        # One row an input; scipy requests A, B, and A with the columns of B, all at once.
         before, whole = sum(map(len, seen)), count * (2 + size)
         seen.append(evaluate(evaluator, uncertainty, points.T, workers=workers, progress=lambda _text, share: progress(
             "Sobol indices", (before + share * points.shape[1]) / whole)).values)
         return seen[-1].T
 
-    # An index that is the same in every resample has no interval, which is what the warning says.
+    # An index that is the same in every resample has no interval: scipy warns of it.
     with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", DegenerateDataWarning)
         found = sobol_indices(func=outcome, n=count, dists=[_distribution(each) for each in uncertainty.inputs],
                               rng=np.random.default_rng(seed))
         spread = found.bootstrap(confidence_level=CONFIDENCE)
     values = np.concatenate(seen)
-    # Of these scipy says 0.
+    # For these scipy gives 0.
     unknown = ~np.isfinite(values).all(axis=0) | (np.ptp(values, axis=0) == 0.0)
 
     def rows(indices: object) -> Real:
@@ -166,7 +175,7 @@ def sobol(
 
 
 def _distribution(each: Number) -> Any:
-    """The law of an input as scipy has it, cut where it is cut."""
+    """The law of an input as a scipy distribution, truncated likewise."""
     from scipy.stats import truncnorm, uniform
 
     if each.law == "uniform":
@@ -176,6 +185,9 @@ def _distribution(each: Number) -> Any:
 
 
 def names_to_ask(uncertainty: Uncertainty, known: Sequence[str], *, every: bool) -> tuple[str, ...]:
-    """The numbers whose influence is asked for: the uncertain ones, then, if `every`, all others that are `known`."""
+    """The numbers whose influence is computed.
+
+    The uncertain ones come first. All others that are `known` follow if `every`, or if none is uncertain.
+    """
     rest = [name for name in known if name not in uncertainty.names] if every or not uncertainty.inputs else []
     return (*uncertainty.names, *rest)

@@ -1,11 +1,11 @@
-"""A study is run: models, points, full solves of some of them, each on the disk as soon as it is finished.
+"""Runs a study: its models, its points, and full solves of some.
 
     found = study(read_study("study.toml"), "out/study")
     found.columns["e_ac"]
 
-Every part of a study, one state of the chip and one choice of materials, has one model; workers do a few points of it
-at a time. A model is the one on the disk, and each point is worked out alone, so a run that was interrupted ends with
-the same table to the last bit.
+Every part of a study, one state of the chip and one choice of materials, has one model, and workers evaluate a few of
+its points at a time. Everything finished is saved at once. Models are read back from the disk and each point is
+computed independently, so an interrupted run that continues gives the same table to the last bit.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from workbench.jobs.process import WorkerEnded
 from workbench.jobs.progress import Progress, by_part, no_progress
 from workbench.jobs.workers import Workers, begin_workers, check_jobs
 
-#: Tasks given to each worker: one waits while one is done.
+#: Tasks given to each worker: one waits while one runs.
 AHEAD = 2
 
 
@@ -44,21 +44,22 @@ def study(
     models: Models | None = None,
     progress: Progress = no_progress,
 ) -> StudyResult:
-    """Run a study; `folder` then holds its table as ``study.parquet``, ``study.nc`` and ``study.json``.
+    """Run a study and save its table in `folder`.
 
-    Every finished point is on the disk at once; the same study in the same folder goes on from there.
+    The files are ``study.parquet``, ``study.nc`` and ``study.json``. Every finished point is saved at once; the same
+    study in the same folder continues from there.
 
     Args:
-        jobs: how many tasks are worked on at a time, one for each core if None.
-        executor: works the points out; processes of this machine if None, or this one where `jobs` is one.
-        overwrite: begin anew in a folder that holds another study.
-        models: where models come from; `workbench.design.parts.ReducedModels` if None.
-        progress: called with a part of the study and what is done for it ("filled: points"), and the share that is.
+        jobs: the number of tasks at a time, one for each core if None.
+        executor: computes the points; processes of this machine if None, or this process if `jobs` is one.
+        overwrite: begin anew in a folder that contains another study.
+        models: the source of models; `workbench.design.parts.ReducedModels` if None.
+        progress: called with a part of the study, its present task ("filled: points"), and the share that is done.
 
     Raises:
-        InputError: the folder holds another study, or something in the chip, its materials or the ranges.
+        InputError: the folder contains another study, or something in the chip, its materials or the ranges.
         NotCovered: a range model needs more full solves than the study allows.
-        RuntimeError: a point could not be worked out, or a worker ended.
+        RuntimeError: a point could not be computed, or a worker ended.
     """
     expect(plan, Study, reader="read_study", source="study", field="plan")
     jobs = os.cpu_count() or 1 if jobs is None else jobs
@@ -75,8 +76,8 @@ def study(
                 _full_solves(plan, parts, models, kept, workers, partial(show, "confirmed", "full solves"))
         except WorkerEnded as error:
             left = plan.size - len(kept.rows().index)
-            raise RuntimeError(f"{error}; what was finished is on the disk, {left} of {plan.size} points remain: the "
-                               "same study in the same folder goes on from there") from error
+            raise RuntimeError(f"{error}; finished points are on the disk, {left} of {plan.size} points remain: run "
+                               "the same study in the same folder to continue") from error
         found = StudyResult(plan, kept.rows(), kept.rows(FULL))
         found.write(kept.path)
     return found
@@ -86,12 +87,12 @@ def _points_of(
     plan: Study, part: StudyPart, models: Models, kept: StudyFolder, workers: Workers,
     show: Callable[[str, float], None],
 ) -> None:
-    """All points of a part that are not finished yet."""
+    """Compute all points of a part that are not finished yet."""
     left = np.flatnonzero(~np.isin(part.rows, kept.rows().index))
     if left.size:
         show("model", 0.0)
         model = models.model(plan, part, kept.model(part), lambda _text, share: show("model", share))
-        # Once for all workers, this process among them: arrays of another layout in memory give other last bits.
+        # Once for all workers and this process: another memory layout of the arrays gives other last bits.
         workers.share(pickle.loads, pickle.dumps(model, protocol=pickle.HIGHEST_PROTOCOL))
         finished = len(part.rows) - left.size
         show("points", finished / len(part.rows))
@@ -107,7 +108,10 @@ def _full_solves(
     plan: Study, parts: Sequence[StudyPart], models: Models, kept: StudyFolder, workers: Workers,
     show: Callable[[float], None],
 ) -> None:
-    """Full solves of some points of the table, drawn by the seed of the sample."""
+    """Solve some points of the table in full.
+
+    They are drawn with the seed of the sample.
+    """
     count = min(plan.confirmed, plan.size)
     drawn = np.random.default_rng(plan.sampling.seed).choice(plan.size, count, replace=False)
     left = np.setdiff1d(drawn, kept.rows(FULL).index)

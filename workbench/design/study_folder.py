@@ -1,4 +1,4 @@
-"""The folder of a study: what was asked, and every point that is finished, each file written whole or not at all.
+"""The folder of a study: its settings and every finished point.
 
     begun.json                  the settings; a study with other settings is refused
     models/0.spectra.npz        the range model of a part, see `workbench.reduced.ranges.RangeModel.save`
@@ -6,9 +6,9 @@
     points/00000000.npz         finished points, called after the first of them
     points/full.00000042.npz    the full solve of a point
 
-A run that is killed at any moment goes on from here: nothing is ever half there, and what is not there is done again.
-Every file ends in, or holds, a digest of its content; models and points that are damaged are done again. Nothing in the
-folder is executed.
+A run that is killed at any moment continues from here: each file is written whole or not at all, and missing ones are
+computed again. Every file ends in, or contains, a digest of its content; models and points that are damaged are
+computed again. Nothing in the folder is executed.
 """
 
 from __future__ import annotations
@@ -52,8 +52,12 @@ _SELF = "digest"
 
 @dataclass(frozen=True, eq=False)
 class FinishedPoints:
-    """Finished points: their ``index`` (k,) in the study's table, ``figures`` (k, figures) in SI, ``missing`` (k,) why
-    there are none, ``frequency`` (k,) Hz driven at, ``error`` (k,) estimated relative error of Z there."""
+    """Finished points of a study.
+
+    ``index`` (k,) is their row in the study's table. ``figures`` (k, figures) are in SI; ``missing`` (k,) has the
+    reasons for those that do not exist. ``frequency`` (k,) Hz is the driven one, ``error`` (k,) the estimated relative
+    error of Z there.
+    """
 
     index: NDArray[np.int64]
     figures: Real
@@ -64,7 +68,10 @@ class FinishedPoints:
     @classmethod
     def of(cls, index: Sequence[int] | NDArray[np.int64], found: Sequence[Evaluation],
            names: Sequence[str]) -> FinishedPoints:
-        """The evaluations of points of the table; `names` are the study's figures."""
+        """The evaluations of points of the table.
+
+        `index` (k,) are their rows, `names` the study's figures.
+        """
         return cls(
             np.asarray(index, dtype=np.int64),
             np.array([[each.figures[name] for name in names] for each in found], dtype=float).reshape(-1, len(names)),
@@ -74,19 +81,19 @@ class FinishedPoints:
 
     @classmethod
     def joined(cls, rows: Sequence[FinishedPoints], names: Sequence[str]) -> FinishedPoints:
-        """All of them, each once, in the order of the table."""
+        """All points of several groups, each once, in the table's order."""
         whole = [cls.of([], [], names), *rows]
         together = cls(*(np.concatenate([getattr(each, column.name) for each in whole]) for column in fields(cls)))
         _, order = np.unique(together.index, return_index=True)
         return together.chosen(order)
 
     def chosen(self, at: NDArray[np.int64]) -> FinishedPoints:
-        """The points at places (m,)."""
+        """The points at positions (m,)."""
         return FinishedPoints(*(getattr(self, column.name)[at] for column in fields(self)))
 
 
 def _reasons(found: Evaluation) -> str:
-    """Reasons why figures are missing, each once, behind the figures it is of."""
+    """The reasons for missing figures, each once, after the figures' names."""
     reasons: dict[str, list[str]] = {}
     for name, reason in found.missing.items():
         reasons.setdefault(reason, []).append(name)
@@ -95,7 +102,10 @@ def _reasons(found: Evaluation) -> str:
 
 @dataclass(frozen=True)
 class StudyFolder:
-    """The folder ``path`` of a study with those ``figures``, as long as :func:`opened` holds it."""
+    """The folder ``path`` of a study with those ``figures``.
+
+    It belongs to this run as long as :func:`opened` is active.
+    """
 
     path: Path
     figures: tuple[str, ...]
@@ -105,16 +115,18 @@ class StudyFolder:
         return self.path / _MODELS / f"{part.number}.npz"
 
     def keep(self, rows: FinishedPoints, kind: str = "") -> None:
-        """Put finished points on the disk, or with the `kind` :data:`FULL` the full solve of a point; they are there
-        when this returns."""
+        """Save finished points, or a full solve with the `kind` :data:`FULL`.
+
+        They are on the disk when this returns.
+        """
         write_arrays(self.path / _POINTS / f"{kind}{rows.index[0]:08d}.npz", vars(rows))
 
     def rows(self, kind: str = "") -> FinishedPoints:
-        """All finished points, or with the `kind` :data:`FULL` all points solved in full."""
+        """All finished points, or with the `kind` :data:`FULL` all full solves."""
         return FinishedPoints.joined([_unpacked(path, len(self.figures)) for path in self._files(kind)], self.figures)
 
     def clear_damaged(self) -> None:
-        """Remove files of points that are damaged, each with a warning that names it."""
+        """Remove damaged files of points, each with a warning that names it."""
         for path in (*self._files(""), *self._files(FULL)):
             try:
                 _unpacked(path, len(self.figures))
@@ -130,9 +142,10 @@ class StudyFolder:
 
 
 def study_outputs(study: Study, folder: Path) -> Outputs:
-    """The files of a study; a run goes on with those of its models and points.
+    """The output files of a study.
 
-    Where there is no study yet, all that lies in folders of these names is in its way.
+    A run continues with those of its models and points. If the folder contains no study yet, everything in folders of
+    these names is in its way.
     """
     files = "*.npz" if (folder / _BEGUN).is_file() else "*"
     working = (_BEGUN, f"{_MODELS}/{files}", f"{_POINTS}/{files}")
@@ -146,10 +159,12 @@ def study_outputs(study: Study, folder: Path) -> Outputs:
 def opened(
     path: Path | OutputFolder, study: Study, parts: Sequence[StudyPart], *, overwrite: bool = False
 ) -> Iterator[StudyFolder]:
-    """The folder for a study, made if need be, for this run alone; `overwrite` begins anew.
+    """Open the folder for a study, for this run alone.
+
+    It is made if missing; `overwrite` begins anew.
 
     Raises:
-        InputError: the folder holds another study, or see `workbench.files.output.begin`.
+        InputError: the folder contains another study, or see `workbench.files.output.begin`.
     """
     with run_folder(path, study_outputs(study, Path(path)), source=study.file) as folder:
         _begin(folder.path, study, parts, overwrite=overwrite)
@@ -188,7 +203,7 @@ def _read_begun(begun: Path) -> dict[str, str]:
 
 
 def _check_same(stored: dict[str, str], requested: dict[str, str], path: Path, study: Study) -> None:
-    # The program names these settings, so another name is another version's.
+    # The program names these settings, so other names come from another version.
     if {key for key in stored if key.startswith("study.")} != {key for key in requested if key.startswith("study.")}:
         raise InputError(study.file, "folder", str(path), "a study of this version; the one in there was begun by an "
                          "older version, and cannot go on: choose another folder, or begin anew (--overwrite)")
@@ -200,7 +215,10 @@ def _check_same(stored: dict[str, str], requested: dict[str, str], path: Path, s
 
 
 def study_description(study: Study, parts: Sequence[StudyPart]) -> dict[str, str]:
-    """All settings that decide the table of a study, as texts by the name of the setting."""
+    """All settings that determine the table of a study.
+
+    They are texts by the name of the setting.
+    """
     operation, sampling = study.operation, study.sampling
     found = {
         "format": str(FORMAT), "version": importlib.metadata.version("acoustofluidic-chip-workbench"),
@@ -239,7 +257,7 @@ def _digest(text: str) -> str:
 
 
 def _unpacked(path: Path, figures: int) -> FinishedPoints:
-    """The points in a file, with so many `figures` each.
+    """The points in a file, with `figures` figures each.
 
     Raises:
         InputError: the file is damaged.

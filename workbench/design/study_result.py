@@ -1,5 +1,4 @@
-"""The result of a study: its table, as columns, as an xarray and as files; statistics; and the differences of full
-solves."""
+"""The result of a study: its table, statistics and confirmations."""
 
 from __future__ import annotations
 
@@ -32,14 +31,17 @@ STATE, FREQUENCY, ERROR, MISSING = "state", "frequency", "error", "missing"
 
 _WORDS = {FREQUENCY: "frequency driven at", ERROR: "estimated relative error of Z there"}
 
-#: Quantiles that a statistic states besides the median.
+#: Quantiles of a statistic besides the median.
 LOW, HIGH = 0.05, 0.95
 
 
 @dataclass(frozen=True)
 class Statistic:
-    """A figure over the points of one state (SI): ``count`` of points that have it, of ``points``; extremes with the
-    rows of the table they are at; mean, and quantiles of 5, 50 and 95 %. NaN where no point has it."""
+    """Statistics of a figure over the points of one state (SI).
+
+    ``count`` of the ``points`` have the figure. The extremes have their rows in the table. The quantiles are 5, 50 and
+    95 %. Numbers are NaN if no point has the figure.
+    """
 
     state: str
     figure: str
@@ -57,7 +59,7 @@ class Statistic:
 
 @dataclass(frozen=True)
 class Confirmation:
-    """One ``figure`` (SI) at a ``row`` of the table: by the ``reduced`` model, and by a ``full`` solve."""
+    """A ``figure`` (SI) at one ``row``, by reduced model and full solve."""
 
     row: int
     figure: str
@@ -66,13 +68,16 @@ class Confirmation:
 
     @property
     def difference(self) -> float:
-        """Difference of the reduced model from the full solve, SI."""
+        """The reduced model's figure minus that of the full solve, SI."""
         return self.reduced - self.full
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StudyResult(Shown):
-    """The table of a ``study``: ``rows`` are all of its points, ``full`` those solved in full besides."""
+    """The table of a ``study``.
+
+    ``rows`` are all of its points, ``full`` those that were also solved in full.
+    """
 
     study: Study
     rows: FinishedPoints
@@ -80,8 +85,11 @@ class StudyResult(Shown):
 
     @cached_property
     def columns(self) -> Mapping[str, NDArray[Any]]:
-        """The table (n,) by column: state, what varies (numbers in SI, materials by name), figures (SI), then the
-        frequency driven at (Hz), the estimated relative error of Z there, and why figures are missing."""
+        """The table (n,) by column.
+
+        The columns are the state, the variables (numbers in SI, materials by name), the figures (SI), the driven
+        frequency (Hz), the estimated relative error of Z there, and the reasons for missing figures.
+        """
         plan = self.study
         states, count = np.array(plan.states, dtype=np.str_), len(plan.sample)
         found: dict[str, NDArray[Any]] = {STATE: np.repeat(states, count)}
@@ -105,7 +113,10 @@ class StudyResult(Shown):
 
     @cached_property
     def confirmations(self) -> tuple[Confirmation, ...]:
-        """Every figure that the reduced model or the full solve has, at every point solved in full."""
+        """Every figure at every point solved in full.
+
+        Figures that neither the reduced model nor the full solve has are left out.
+        """
         return tuple(Confirmation(row, name, float(reduced), float(full))
                      for row, solved in zip(map(int, self.full.index), self.full.figures, strict=True)
                      for name, reduced, full in zip(self.study.figures, self.rows.figures[row], solved, strict=True)
@@ -122,10 +133,10 @@ class StudyResult(Shown):
         return Summary(f"Study {self.study.name}, {self.study.size} points", tuple(rows))
 
     def to_xarray(self) -> xarray.Dataset:
-        """The figures over ``state`` and, of a grid, everything that varies, otherwise over ``point``.
+        """The figures over ``state`` and the variables or ``point``.
 
-        Units are attributes; names of coefficients have "_" for "/", which NetCDF has another use for, and their own
-        name as ``long_name``.
+        A grid has a dimension for each variable, other samples have ``point``. Units are attributes. Names of
+        coefficients have "_" for "/", which NetCDF uses otherwise, and their own name as ``long_name``.
         """
         import xarray
 
@@ -173,7 +184,10 @@ class StudyResult(Shown):
         write_json(folder / "study.json", self.record())
 
     def record(self) -> dict[str, Any]:
-        """The request, statistics and confirmations; numbers in SI, None where there is none."""
+        """The request, statistics and confirmations, for a JSON file.
+
+        Numbers are in SI; those that do not exist are None.
+        """
         plan = self.study
         return {
             "name": plan.name, "version": importlib.metadata.version("acoustofluidic-chip-workbench"),
@@ -192,7 +206,7 @@ class StudyResult(Shown):
 
 
 def _formatted(axis: Variable, column: Real) -> NDArray[Any]:
-    """A column of the sample as it is shown: numbers, or names of materials."""
+    """A column of the sample for output: numbers, or names of materials."""
     return column if isinstance(axis, VariedNumber) else np.array(axis.materials, dtype=np.str_)[column.astype(int)]
 
 

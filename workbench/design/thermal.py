@@ -1,4 +1,6 @@
-"""Thermal resistances for the figure "heating", as a study's or a goal's file states them, or computed.
+"""Thermal resistances for the figure "heating", stated or computed.
+
+A study's or a goal's file has them in a table:
 
     [thermal]                       # kelvin for each watt lost in a region
     transducer = "4 K/W"
@@ -37,14 +39,15 @@ def read_thermal(
     root: FileTable, chip: Chip, figures: Collection[str], *, states: Sequence[str], band: tuple[float, float] | None,
     registry: Registry | None,
 ) -> dict[str, float]:
-    """The thermal resistances (K/W) of a file, by region or interface, "" for all that are not named.
+    """Read the thermal resistances (K/W) of a file, by region or interface.
 
-    With the key ``computed`` they are those of conduction in `chip` at its operating point in `band` (Hz; the chip's
-    own if None), and of its dimensions and materials at first, whatever varies.
+    The name "" stands for all that are not named. With the key ``computed`` they are those of conduction in `chip` at
+    its operating point in `band` (Hz; the chip's own if None), with its initial dimensions and materials, whatever
+    varies.
 
     Raises:
-        InputError: an unknown region, a resistance below zero, numbers beside ``computed``, that for several `states`,
-            or none at all where `figures` need one.
+        InputError: an unknown region, a negative resistance, numbers beside ``computed``, that key for several
+            `states`, or no resistance although `figures` need one.
     """
     table = root.table("thermal", expected="a table [thermal] of thermal resistances by region")
     if "computed" in table:

@@ -1,11 +1,11 @@
-"""Yield of a chip as it is made: the share that meets its requirements, the numbers that limit it, and the tolerances
-to tighten.
+"""Yield of a chip under tolerances, and the tolerances to tighten.
 
     found = tolerance(read_chip("chip.toml"), "filled", ["f0 within 5 kHz", "e_ac >= 20 J/m^3 at 10 Vpp"])
     found.yields.together.sampled, found.yields.tightenings[0]
 
-Nominal figures and sensitivities are those of full solves; samples are evaluated on a model of the chip's figures over
-all that is uncertain (`workbench.design.model`), a minute or two altogether.
+The yield is the share of chips that meets the requirements. Nominal figures and sensitivities are those of full solves.
+Samples are evaluated on a model of the chip's figures over all uncertain numbers (`workbench.design.model`). Together
+this takes a minute or two.
 """
 
 from __future__ import annotations
@@ -50,17 +50,21 @@ from workbench.results.notebook import Shown, Summary
 
 Real = NDArray[np.float64]
 
-#: Samples unless told otherwise: the interval of a yield is then at most 2.2 % to either side.
+#: Default number of samples: the interval of a yield is then at most 2.2 % to either side.
 SAMPLES = 2000
 
-#: Figures that are shown whether or not they are required.
+#: Figures that are always evaluated.
 ALWAYS = ("f0", "z_min", "q")
 
 
 @dataclass(frozen=True)
 class ModelFacts:
-    """The model that samples were evaluated on: unknowns, largest relative error of Z that full solves found, seconds
-    to make it, and the relative difference of each figure at the mean numbers from that of full solves, by label."""
+    """Facts about the model that samples were evaluated on.
+
+    ``rank`` is the number of unknowns and ``error`` the largest relative error of Z that full solves found. ``seconds``
+    is the time to make it. ``off`` is the relative difference of each figure from that of full solves at the mean
+    numbers, by label.
+    """
 
     rank: int
     error: float
@@ -70,13 +74,13 @@ class ModelFacts:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tolerance(Shown):
-    """The figures of a chip in a ``state`` under its tolerances and uncertainties.
+    """The figures of a chip in a ``state`` under its uncertainty.
 
     ``requested`` are the figures with their drives; ``frequency`` (Hz) is the driving frequency, or the word of
     `geometry.operating_point.OPERATING_POINTS` for the resonance that the drive follows. ``sensitivities`` are those at
-    the mean numbers. ``outcomes`` holds the samples and their figures, ``redrawn`` how many draws were not admissible,
-    ``yields`` those of the requirements (None without any), ``sobol`` the indices if they were requested. ``seconds``
-    is the time that all took.
+    the mean numbers. ``outcomes`` are the samples with their figures, ``redrawn`` counts the draws that were not
+    admissible, ``yields`` are those of the requirements (None without any), ``sobol`` the indices if they were
+    requested. ``seconds`` is the total time.
     """
 
     chip: Chip
@@ -97,7 +101,7 @@ class Tolerance(Shown):
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Further statements, in words."""
+        """Further findings, in words."""
         found = [*self.uncertainty.notes]
         found += [f"the chip as stated has no {each.label}: {self.sensitivities.missing[each.label]}"
                   for each in self.requested if each.label in self.sensitivities.missing]
@@ -110,8 +114,8 @@ class Tolerance(Shown):
                              "where the chip or its materials cannot be, and were drawn again")
             for label, reasons in self.outcomes.missing.items():
                 count = sum(reasons.values())
-                found.append(f"{count} of {len(self.outcomes.points)} samples have no {label} and fail what is asked "
-                             f"of it: {'; '.join(sorted(reasons))}")
+                found.append(f"{count} of {len(self.outcomes.points)} samples have no {label} and fail its "
+                             f"requirements: {'; '.join(sorted(reasons))}")
         if self.yields is not None:
             found.append(_first_to_tighten(self.yields))
         return tuple(found)
@@ -159,12 +163,12 @@ def tolerance(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Tolerance:
-    """Sensitivities, and with `requirements` the yield, of a chip whose numbers are uncertain.
+    """Sensitivities, and with `requirements` the yield, of an uncertain chip.
 
     Args:
         requirements: sentences as of `workbench.design.requirement`.
-        uncertainty: all of it, or what to say beyond chip file and registry (`workbench.design.input_uncertainty`).
-        figures: further figures to look at.
+        uncertainty: all of it, or statements beyond chip file and registry (`workbench.design.input_uncertainty`).
+        figures: further figures to evaluate.
         drive: of figures for which a requirement states none, 10 Vpp by default.
         thermal_resistance: K/W by region, for heating; "" for all regions not named.
         at: the frequency (Hz) of the drive, or the word of `geometry.operating_point.OPERATING_POINTS` for the
@@ -173,16 +177,16 @@ def tolerance(
             as stated.
         samples: of the yield.
         sobol_points: a power of two, for Sobol indices by so many evaluations times the inputs plus two; 0 for none.
-        every: ask for sensitivities to all numbers, also those whose uncertainty nobody states (by 1 % of them).
+        every: give sensitivities to all numbers, also those without a stated uncertainty (for 1 % of them).
         seed: of all samples.
         relative_error: of the impedance of the model that samples are evaluated on.
         jobs: processes that evaluate the samples; this one if one.
         executor: evaluates the samples in place of such processes, `jobs` tasks at a time.
 
     Raises:
-        InputError: a requirement or an uncertainty that cannot be used, nothing uncertain, or a chip that has not the
-            figure that is required of it.
-        NotCovered: no model could be made over what is uncertain.
+        InputError: a requirement or an uncertainty that cannot be used, nothing uncertain, or a chip without a figure
+            that is required.
+        NotCovered: no model over the uncertain numbers was possible.
     """
     expect(chip, Chip, reader="read_chip", source="tolerance", field="chip")
     started = time.perf_counter()
@@ -197,7 +201,7 @@ def tolerance(
     asked = driven_figures(tuple(dict.fromkeys((*ALWAYS, *extra))), required, drive)
     check_tolerance_request(known, required, samples, sobol_points, chip, source="tolerance")
     say("full solves", 0.0)
-    # The numbers of a fit may lie far from those of chip file and registry: a model of both would be large in vain.
+    # The numbers of a fit may lie far from those of chip file and registry: one model of both is needlessly large.
     there, with_means = centred_chip(chip, registry, known.nominal())
     operation = Operation(drive, at, thermal_resistance or {}).of(device)
     solved = partial(full_evaluation, there, device.state.name, registry=with_means, band=band, accuracy=accuracy)
@@ -235,7 +239,9 @@ def check_tolerance_request(
     known: Uncertainty, required: Sequence[Requirement], samples: int, sobol_points: int, chip: Chip, *,
     source: str = "command line", names: tuple[str, str] = ("samples", "sobol_points"),
 ) -> None:
-    """Refuse what :func:`tolerance` cannot do, before anything is solved; `names` are those of the two counts.
+    """Check a request to :func:`tolerance` before anything is solved.
+
+    `names` are those of the two counts.
 
     Raises:
         InputError: nothing uncertain, no sample, or Sobol indices that are not defined.
@@ -250,7 +256,9 @@ def check_tolerance_request(
 
 
 def _resonance(figure: str, found: Evaluation, chip: Chip) -> float:
-    """The frequency (Hz) of the resonance that the drive follows, a `figure` of an evaluation.
+    """The frequency (Hz) of the resonance that the drive follows.
+
+    It is a `figure` of an evaluation.
 
     Raises:
         InputError: there is none.
@@ -274,7 +282,10 @@ def _sampled(
     found: Tolerance, model: Driven, seconds: float, samples: int, sobol_points: int, jobs: int,
     executor: Executor | None, say: Progress,
 ) -> Tolerance:
-    """`found` with samples and yields on a `model` made in so many `seconds`, and with Sobol indices if requested."""
+    """`found` with samples, yields, and Sobol indices if requested.
+
+    The `model` was made in `seconds`.
+    """
     known, nominal = found.uncertainty, found.sensitivities.figures
     there = model(known.nominal()).figures
     off = {label: there[label] / value - 1.0 for label, value in nominal.items() if value}

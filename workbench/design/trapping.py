@@ -1,7 +1,7 @@
-"""The deepest trap of a potential given as a polynomial, and the exact derivatives of its figures.
+"""The deepest trap of a polynomial potential, with exact derivatives.
 
 The trap is the lowest place of the potential in the cavity: on a raster first, then by Newton's method. Its derivatives
-follow from grad U = 0 (implicit function theorem). A trap held at a wall moves along the wall only.
+follow from grad U = 0 (implicit function theorem). A trap at a wall moves along the wall only.
 """
 
 from __future__ import annotations
@@ -32,24 +32,27 @@ from workbench.model.particles import GRAVITY, viscous_scattering
 
 Real = NDArray[np.float64]
 
-#: Shares of width and height below which a step of Newton's method is the last one, and most steps of it.
+#: Size (in shares of width and height) of the last step of Newton's method, and most steps.
 SETTLED, STEPS = 1e-8, 60
-#: A curvature of less than this share of the other one, by shares of width and height, is none: rounding leaves 1e-7.
+#: A curvature below this share of the other one (by shares of width and height) counts as zero: rounding gives 1e-7.
 FLAT = 1e-5
-#: Share of the width by which a place leaves the axis where the potential has its maximum on it.
+#: Share of the width by which a place leaves the axis if the potential has its maximum there.
 OFF_AXIS = 1e-3
 #: Points of the Gauss rule for the focusing time: the force is smooth over a part of a wavelength.
 RULE = 24
 
 
 class NoTrap(ValueError):
-    """A field in which a particle is not led to where it was to go."""
+    """Raised when the field does not bring a particle into a trap."""
 
 
 @dataclass(frozen=True, eq=False)
 class FoundTrap:
-    """The deepest trap at unit voltage: ``place`` (2,), xi and eta, shares of width and height; ``depth`` (J), the
-    ``radial`` and the ``axial`` stiffness (N/m)."""
+    """The deepest trap at unit voltage.
+
+    ``place`` (2,) are xi and eta, shares of width and height. ``depth`` is in J, the ``radial`` and the ``axial``
+    stiffness in N/m.
+    """
 
     field: CavityField
     place: Dual
@@ -59,13 +62,16 @@ class FoundTrap:
 
     @property
     def radius(self) -> Dual:
-        """m from the axis, or from the middle of a straight chip, below zero on its left."""
+        """The distance (m) from the axis.
+
+        In a straight chip it is from the middle, negative to its left.
+        """
         middle = 0.0 if isinstance(self.field.cavity.measure, Axisymmetric) else 0.5
         return self.field.around["width"] * (self.place[0] - middle)
 
     @property
     def height(self) -> Dual:
-        """m above the floor."""
+        """The height (m) above the floor."""
         return self.field.around["height"] * self.place[1]
 
 
@@ -79,11 +85,12 @@ def largest_square(field: CavityField) -> Dual:
 
 
 def find_trap(field: CavityField, near: float | None = None) -> FoundTrap:
-    """The lowest place of the potential, or the minimum that the way down from the lowest place at a radius `near` (m)
-    leads to, and what follows from it.
+    """Find the trap: the lowest place of the potential.
+
+    With `near` (m) it is the local minimum reached by descent from the lowest place at that radius.
 
     Raises:
-        NoTrap: the potential is so flat there that no place is the lowest.
+        NoTrap: the potential is too flat for a lowest place.
     """
     lines, potential, around = _raster(field), field.coefficients[POTENTIAL], field.around
     values = lines[0] @ potential.value @ lines[1].T
@@ -109,8 +116,10 @@ def find_trap(field: CavityField, near: float | None = None) -> FoundTrap:
 
 
 def follows_flow(trap: FoundTrap) -> str:
-    """The reason why the particle comes to no trap, if streaming along plane walls moves it more than sound does; empty
-    otherwise."""
+    """The reason why streaming keeps the particle from a trap.
+
+    Streaming along plane walls then moves it more than sound does. The reason is empty otherwise.
+    """
     cavity, frequency = trap.field.cavity, trap.field.around["frequency"].value
     assert cavity.particle is not None
     factor = viscous_scattering(cavity.particle, cavity.fluid, frequency).contrast_factor
@@ -121,22 +130,26 @@ def follows_flow(trap: FoundTrap) -> str:
 
 
 def trap_focus_time(trap: FoundTrap, square_of_voltage: Dual, *, beyond: float = 0.0) -> Dual:
-    """Seconds from 90 to 10 % of a quarter wavelength above the trap, as `workbench.acoustics.traps.focus_time` has
-    them: in a straight chip instead of that, or of the way to the side wall, to the right of the trap, where it is
-    stiffer that way, or where that is the only way.
+    """The focusing time (s) of a particle to the trap.
 
-    The way may begin above the lid, up to `beyond` as a share of the height: the force goes on there along its tangent.
+    It is from 90 to 10 % of a quarter wavelength above the trap, as in `workbench.acoustics.traps.focus_time`. In a
+    straight chip the path is horizontal instead, to the right of the trap, if the trap is stiffer that way or is
+    reached only that way. The distance to the side wall then replaces the quarter wavelength if it is shorter. The path
+    may begin above the lid, up to `beyond` as a share of the height: the force is extrapolated there along its tangent.
 
     Raises:
-        NoTrap: the way leaves the cavity by more, the force does not lead down all of it, or the particle sinks past
-            the trap, or rises past it.
+        NoTrap: the path leaves the cavity by more, the force does not lead down all of it, or the particle sinks or
+            rises past the trap.
     """
     return along_stiffest(trap.field.cavity.measure, (trap.radial.value, trap.axial.value),
                           lambda axis: _time_along(trap, square_of_voltage, axis, beyond))
 
 
 def _time_along(trap: FoundTrap, square_of_voltage: Dual, axis: int, beyond: float) -> Dual:
-    """The time (s) as in :func:`trap_focus_time` along one direction, 0 across and 1 up."""
+    """The time (s) of :func:`trap_focus_time` along one direction.
+
+    `axis` is 0 across and 1 up.
+    """
     field, side = trap.field, ("beside", "above")[axis]
     particle, around = field.cavity.particle, field.around
     assert particle is not None
@@ -155,7 +168,7 @@ def _time_along(trap: FoundTrap, square_of_voltage: Dual, axis: int, beyond: flo
     if not (back.value > 0.0).all():
         raise NoTrap(f"a particle a quarter wavelength {side} the deepest trap does not get there")
     if axis == 1:
-        # The weight is carried by a wall, or by the sound between there and a quarter wavelength further.
+        # A wall supports the weight, or the sound within the next quarter wavelength.
         sense = -math.copysign(1.0, weight.value)
         further = np.clip(base.value + sense * rise.value * np.linspace(0.0, 1.0, RASTER_POINTS), 0.0, 1.0)
         force = _force(trap, axis, Dual(further, np.zeros((len(base.gradient), further.size)))).value
@@ -168,9 +181,10 @@ def _time_along(trap: FoundTrap, square_of_voltage: Dual, axis: int, beyond: flo
 
 
 def _force(trap: FoundTrap, axis: int, places: Dual) -> Dual:
-    """The force (p,) N at unit voltage along a line through the trap, across or up, at places (p,) as shares of it.
+    """The force (p,) N at unit voltage through the trap.
 
-    Beyond the lid it goes on along its tangent.
+    The line goes across or up, `places` (p,) are shares of it. Beyond the lid the force is extrapolated along its
+    tangent.
     """
     field = trap.field
     inside = np.minimum(places.value, 1.0)
@@ -182,7 +196,10 @@ def _force(trap: FoundTrap, axis: int, places: Dual) -> Dual:
 
 
 def _raster(field: CavityField) -> tuple[Real, Real]:
-    """Polynomials in s (i, n) and in t (j, m) on lines a small part of a wavelength apart, both walls included."""
+    """Polynomials on a raster: in s (i, n) and t (j, m).
+
+    Its lines are a small part of a wavelength apart, and include both walls.
+    """
     wavelength = 2.0 * math.pi / field.cavity.wave_number
     counts = [math.ceil(RASTER_POINTS * length.value / wavelength) + 1
               for length in (field.around["width"], field.around["height"])]
@@ -192,12 +209,18 @@ def _raster(field: CavityField) -> tuple[Real, Real]:
 
 @lru_cache(maxsize=64)
 def _on_lines(lines: int, count: int, power: int) -> Real:
-    """Polynomials (lines, count) in 2 xi^power - 1 at equal shares xi of the width or of the height."""
+    """Polynomials (lines, count) in 2 xi^power - 1 at equally spaced lines.
+
+    xi are shares of the width or of the height.
+    """
     return derivatives(argument(np.linspace(0.0, 1.0, lines), power)[0], count, 0)
 
 
 def _polynomials(field: CavityField, axis: int, shares: Real) -> Real:
-    """Polynomials across or up with their first three derivatives by the shares (p,): (4, p, count)."""
+    """Polynomials across or up with three derivatives by `shares`: (4, p, count).
+
+    `shares` (p,) are those of the width or the height.
+    """
     power = 1 if axis else field.cavity.measure.power
     s, first, second = (each[:, None] for each in argument(shares, power))
     by_s = legendre_polynomials(s[:, 0], field.coefficients.value.shape[1 + axis])
@@ -206,28 +229,34 @@ def _polynomials(field: CavityField, axis: int, shares: Real) -> Real:
 
 
 def _along(field: CavityField, axis: int, shares: Dual) -> list[Dual]:
-    """Polynomials (p, count) across or up at shares (p,) that move, and their first two derivatives by these."""
+    """Polynomials (p, count) across or up at shares (p,), and two derivatives.
+
+    The shares have derivatives by the numbers.
+    """
     values = _polynomials(field, axis, shares.value)
     return [Dual(values[order], shares.gradient[:, :, None] * values[order + 1]) for order in range(3)]
 
 
 def _at_place(field: CavityField, place: Real) -> tuple[Real, Real]:
-    """Polynomials in s (4, n) and in t (4, m) at one place (xi, eta), with three derivatives."""
+    """Polynomials at one place: in s (4, n) and t (4, m).
+
+    `place` is (xi, eta). The first axis has the values and three derivatives.
+    """
     return _polynomials(field, 0, place[:1])[:, 0], _polynomials(field, 1, place[1:])[:, 0]
 
 
 def _hessian(potential: Real, across: Real, up: Real) -> Real:
-    """Second derivatives (2, 2) of the potential by xi and eta."""
+    """The second derivatives (2, 2) of the potential by xi and eta."""
     mixed = across[1] @ potential @ up[1]
     return np.array([[across[2] @ potential @ up[0], mixed], [mixed, across[0] @ potential @ up[2]]])
 
 
 def _minimum(field: CavityField, start: Real) -> tuple[Real, NDArray[np.bool_]]:
-    """The minimum (xi, eta) that the way down from a place leads to, and in which directions it may move.
+    """Find the local minimum (xi, eta) by descent, and its free directions.
 
-    Newton's method with the absolute values of the curvatures, so that it goes down where they are negative, as far as
-    the potential falls and at most to a wall. On the axis the potential is even in the radius; at a wall that it falls
-    towards, the minimum stays there. Along a line on which it does not change, the place stays.
+    It is Newton's method with the absolute values of the curvatures, so that it descends where they are negative, as
+    long as the potential falls and at most to a wall. On the axis the potential is even in the radius. At a wall that
+    it falls towards, the minimum stays there. Along a line on which it does not change, the place stays.
 
     Raises:
         NoTrap: no minimum after :data:`STEPS` steps.
@@ -245,7 +274,7 @@ def _minimum(field: CavityField, start: Real) -> tuple[Real, NDArray[np.bool_]]:
         gradient = np.array([across[1] @ potential @ up[0], across[0] @ potential @ up[1]])
         hessian = _hessian(potential, across, up)
         held = ((place <= 0.0) & (gradient > 0.0)) | ((place >= 1.0) & (gradient < 0.0))
-        # On the axis there is no slope along the radius: the curvature tells whether it is a minimum there.
+        # The slope along the radius is zero on the axis: the curvature decides whether it is a minimum.
         held[0] |= about_axis and place[0] == 0.0 and hessian[0, 0] >= 0.0
         free = ~held
         if about_axis and place[0] == 0.0 and free[0]:
@@ -260,7 +289,7 @@ def _minimum(field: CavityField, start: Real) -> tuple[Real, NDArray[np.bool_]]:
         if np.abs(step).max() < SETTLED:
             if at.size and curvatures[0] < -least:
                 break
-            # Where the potential is flat, any place is as good, and the trap stays.
+            # If the potential is flat, all places are equal, and the trap stays.
             return place, free & (np.diag(hessian) > FLAT * np.abs(hessian).max())
         for halvings in range(30):
             further = np.clip(place + 0.5**halvings * step, 0.0, 1.0)

@@ -1,9 +1,9 @@
-"""The uncertain numbers of a chip as one value: their laws and correlations, samples and ranges of them.
+"""The uncertain numbers of a chip: laws, correlations, samples and ranges.
 
-A tolerance is a limit: a length is anywhere within it, each value as likely as the other (GUM, JCGM 100:2008, 4.3.7:
-its standard uncertainty is the limit over the root of three), or normal with the limits at three standard deviations.
-An uncertainty in a registry or a fit is a standard uncertainty of a normal law. Normal laws are cut
-at three standard deviations, and where matter or the chip ends; what falls outside is drawn again, and counted.
+A tolerance is a limit: a length is anywhere within it with equal probability (GUM, JCGM 100:2008, 4.3.7: its standard
+uncertainty is the limit over the root of three), or normal with the limits at three standard deviations. An uncertainty
+in a registry or a fit is the standard uncertainty of a normal law. Normal laws are truncated at three standard
+deviations, and where materials or the chip become impossible; draws outside are drawn again and counted.
 """
 
 from __future__ import annotations
@@ -25,16 +25,19 @@ from workbench.model.numbers import Number, ParameterName, Stated, placed
 Real = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-#: A draw of which fewer than this share lies where the chip can be is refused: its law is not what was meant.
+#: Smallest share of admissible draws: with fewer, the stated law is a mistake.
 LEAST_ACCEPTED = 0.01
 
-#: Lossless rounding: what the smallest eigenvalue of a dissipation matrix may lack, relative to the stiffness.
+#: Rounding of a lossless material: largest negative eigenvalue of a dissipation matrix, relative to the stiffness.
 ARITHMETIC = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples (n, inputs) of uncertain numbers (SI), and how many were drawn again since they were not admissible."""
+    """Samples (n, inputs) of uncertain numbers (SI).
+
+    ``redrawn`` counts the draws that were not admissible and drawn again.
+    """
 
     points: Real
     redrawn: int
@@ -42,10 +45,10 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Uncertain numbers together.
+    """The joint uncertainty of several numbers.
 
-    ``correlation`` (k, k) in the order of ``inputs``, between normal laws alone; ``materials`` those with uncertain
-    losses, by name, which no sample makes more active than they are; ``notes`` what was left out, in words.
+    ``correlation`` (k, k) is in the order of ``inputs``, between normal laws only. ``materials`` are those with
+    uncertain losses, by name; no sample makes them more active than they are. ``notes`` describe omissions, in words.
     """
 
     inputs: tuple[Number, ...]
@@ -70,17 +73,17 @@ class Uncertainty:
 
     @property
     def means(self) -> Real:
-        """(k,) SI."""
+        """The means (k,), SI."""
         return np.array([each.value for each in self.inputs])
 
     @property
     def deviations(self) -> Real:
-        """Standard uncertainties (k,), SI."""
+        """The standard uncertainties (k,), SI."""
         return np.array([each.deviation for each in self.inputs])
 
     @property
     def covariance(self) -> Real:
-        """(k, k) SI, of the laws before they are cut."""
+        """The covariance (k, k), SI, of the laws before truncation."""
         return self.deviations[:, None] * self.correlation * self.deviations
 
     @property
@@ -98,19 +101,24 @@ class Uncertainty:
         return dict(zip(self.names, map(float, point), strict=True))
 
     def ranges(self, present: Mapping[str, float] | None = None) -> dict[str, tuple[float, float]]:
-        """Lowest and highest number (SI) of every input, wide enough for the chip's `present` numbers too."""
+        """The lowest and highest number (SI) of every input.
+
+        The range includes the chip's `present` numbers.
+        """
         known = present or {}
         return {each.name: (min(each.low, known.get(each.name, each.low)),
                             max(each.high, known.get(each.name, each.high))) for each in self.inputs}
 
     def without(self, names: Sequence[str]) -> Uncertainty:
-        """A copy with the numbers called `names` at their means."""
+        """A copy with the numbers `names` fixed at their means."""
         kept = [k for k, each in enumerate(self.inputs) if each.name not in names]
         return replace(self, inputs=tuple(self.inputs[k] for k in kept),
                        correlation=self.correlation[np.ix_(kept, kept)])
 
     def draw(self, count: int, seed: int = 0) -> Samples:
-        """`count` samples; draws that are not admissible are drawn again as a whole, which keeps the law.
+        """Draw `count` samples.
+
+        A draw that is not admissible is drawn again as a whole, which preserves the law.
 
         Raises:
             InputError: hardly any draw is admissible (:data:`LEAST_ACCEPTED`).
@@ -152,7 +160,10 @@ class Uncertainty:
 
 
 def known_as(number: Number, stated: Stated, ends: tuple[float, float] | None = None) -> Number:
-    """A `number` with the uncertainty `stated`, its range cut to the law, to the values it can have, and to `ends`."""
+    """A `number` with the uncertainty `stated`.
+
+    Its range is the intersection of the law's, of its admissible values, and of `ends`.
+    """
     low, high = number.value - stated.half_width, number.value + stated.half_width
     if number.low == 0.0 < number.value and low <= 0.0 and not number.is_loss:
         raise InputError(stated.origin, number.name, f"{number.value:g} within {stated.half_width:g}",
@@ -162,10 +173,11 @@ def known_as(number: Number, stated: Stated, ends: tuple[float, float] | None = 
 
 
 def halved_weights(number: Number, values: Real) -> Real:
-    """Weights (n,) of samples `values` (n,), mean 1 over the law, that make them samples of half the uncertainty.
+    """Weights (n,) that turn samples into those of half the uncertainty.
 
-    Of a uniform law the inner half of the limits is left. A normal one is weighed as if the number were measured once
-    more, so well that half of its uncertainty is left: what is correlated with it becomes narrower too.
+    `values` (n,) are the samples of `number`; the mean of the weights over the law is 1. They keep the inner half of
+    the limits of a uniform law. They treat a normal law as if the number were measured once more, so well that its
+    uncertainty is halved: correlated numbers become narrower too.
     """
     off = (values - number.value) / number.deviation
     if number.law == "uniform":
@@ -174,7 +186,7 @@ def halved_weights(number: Number, values: Real) -> Real:
 
 
 def amount(name: str, value: float) -> str:
-    """A change of a number (SI) with its unit: of lengths in micrometres."""
+    """A change of a number (SI) with its unit, lengths in micrometres."""
     unit = ParameterName.parse(name).unit
     if unit == "m":
         return f"{value * 1e6:.3g} um"

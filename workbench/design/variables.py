@@ -1,4 +1,4 @@
-"""The variables of a study or a design: numbers within ranges or of a list, materials of a list."""
+"""Variables of a study or design: numbers and materials."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from workbench.model.numbers import ParameterName
 
 Real = NDArray[np.float64]
 
-#: Tail of the name of a region's material as a variable.
+#: Suffix of a region's material as a variable.
 MATERIAL = ".material"
 
-#: To what lengths are rounded at the end (m): finer than any process, coarser than the noise of arithmetic.
+#: Step (m) of rounded lengths: finer than any process, coarser than rounding errors.
 GRAIN = 1e-9
 
 
 @dataclass(frozen=True)
 class VariedNumber:
-    """A number that varies (SI), by its parameter ``name``: from ``low`` to ``high``, or over ``values`` if it has any.
+    """A number that varies (SI), by its parameter ``name``.
 
-    With a ``step`` it is a multiple of it, counted from zero, as layers of a print are; ``points`` of the range are on
-    a grid.
+    It varies from ``low`` to ``high``, or over ``values`` if there are any. With a ``step`` it is a multiple of the
+    step, counted from zero, such as the layers of a print. ``points`` of the range are on a grid.
     """
 
     name: str
@@ -44,7 +44,7 @@ class VariedNumber:
 
     @classmethod
     def listed(cls, name: str, values: Sequence[float]) -> VariedNumber:
-        """A number that is one of `values`, such as a length that comes in certain sizes."""
+        """A number that takes one of `values`, such as a stock length."""
         return cls(name, min(values), max(values), values=tuple(values))
 
     @property
@@ -61,19 +61,24 @@ class VariedNumber:
         return np.array(self.values) if self.values else np.linspace(self.low, self.high, self.points or 2)
 
     def at(self, share: Real) -> Real:
-        """The numbers (n,) at shares (n,) from 0 to 1 of the way; of a list each has an equal part of the way."""
+        """The numbers (n,) at shares (n,) of the range, 0 to 1.
+
+        The values of a list have equal parts of it.
+        """
         return self.low + (self.high - self.low) * share if not self.values else np.array(self.values)[
             _index(share, len(self.values))]
 
     def round(self, value: float) -> float:
-        """The nearest number on a step, or to a :data:`GRAIN`, within the range."""
+        """The nearest number on a step, or :data:`GRAIN`, within the range."""
         grain = self.step or GRAIN
         lowest, highest = math.ceil(self.low / grain - 1e-6), math.floor(self.high / grain + 1e-6)
         # Through decimal digits, so that 41 layers of 0.02 mm are 0.82 mm and not 0.8200000000000001 mm.
         return float(f"{min(max(round(value / grain), lowest), highest) * grain:.12g}")
 
     def beside(self, value: float) -> tuple[float, ...]:
-        """The numbers one step below and above within the range, and a `value` between steps rounded both ways.
+        """The numbers one step below and above, within the range.
+
+        A `value` between steps is rounded both ways.
 
         Raises:
             ValueError: the number has no step.
@@ -89,7 +94,10 @@ class VariedNumber:
 
 @dataclass(frozen=True)
 class MaterialChoice:
-    """The material of a ``region``: one of ``materials``, by their names. Its numbers are places in that list."""
+    """The material of a ``region``: one of ``materials``, by name.
+
+    Its numbers are indices in that list.
+    """
 
     region: str
     materials: tuple[str, ...]
@@ -99,11 +107,11 @@ class MaterialChoice:
         return f"{self.region}{MATERIAL}"
 
     def levels(self) -> Real:
-        """The places (n,) in the list."""
+        """The indices (n,) of the list."""
         return np.arange(float(len(self.materials)))
 
     def at(self, share: Real) -> Real:
-        """The places (n,) in the list at shares (n,) from 0 to 1 of it."""
+        """The indices (n,) at shares (n,) of the list, 0 to 1."""
         return _index(share, len(self.materials)).astype(float)
 
 
@@ -111,8 +119,11 @@ Variable = VariedNumber | MaterialChoice
 
 
 def flat_entries(content: Mapping[str, Any], *, of_tables: bool = True) -> Iterator[tuple[str, Any]]:
-    """The entries of a table by their full names: TOML reads ``substrate.thickness`` without quotes as a table in a
-    table. Entries `of_tables` are tables themselves, which hold anything but tables."""
+    """The entries of a table by their full names.
+
+    TOML reads ``substrate.thickness`` without quotes as a table in a table. Entries `of_tables` are themselves tables,
+    which contain no further tables.
+    """
     for key, value in content.items():
         if isinstance(value, Mapping) and (not of_tables or (value and all(isinstance(each, Mapping)
                                                                            for each in value.values()))):
@@ -122,7 +133,9 @@ def flat_entries(content: Mapping[str, Any], *, of_tables: bool = True) -> Itera
 
 
 def read_materials(entry: FileTable, registry: Registry) -> dict[str, str]:
-    """The alternatives of a variable, ``materials = [...]``: their full names by the names as written.
+    """Read the alternatives of a variable, ``materials = [...]``.
+
+    Returns their full names by the names as written.
 
     Raises:
         InputError: other keys, an unknown material, one twice, or only one.
@@ -149,7 +162,7 @@ def _index(share: Real, count: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class Selection:
-    """One choice of every stock length (m) and of every material, by region."""
+    """One choice of every stock length (m) and material, by region."""
 
     stock: Mapping[str, float]
     materials: Mapping[str, str]
@@ -160,7 +173,7 @@ class Selection:
 
 
 def selections(variables: Sequence[Variable], *, with_stock: bool = True) -> Iterator[Selection]:
-    """Every choice of the stock lengths (unless they are left open) and of the materials."""
+    """Every choice of the materials, and of the stock lengths if `with_stock`."""
     stock = [each for each in variables if isinstance(each, VariedNumber) and each.values] if with_stock else []
     materials = [each for each in variables if isinstance(each, MaterialChoice)]
     for values in product(*(each.values for each in stock)):
@@ -170,17 +183,20 @@ def selections(variables: Sequence[Variable], *, with_stock: bool = True) -> Ite
 
 
 def first_name(chip: Chip, name: str) -> str:
-    """The name of a length: of radii that coincide, which change together, the first one's name."""
+    """The name of a length.
+
+    Radii that coincide change together and have the name of the first one.
+    """
     return canonical_names(chip).get(name, name)
 
 
 def changed(
     chip: Chip, lengths: Mapping[str, float], materials: Mapping[str, str] | None = None, *, note: str = ""
 ) -> Chip:
-    """`chip` with other `lengths` (m) and `materials` (by region); radii that coincide stay so.
+    """`chip` with other `lengths` (m) and `materials` (by region).
 
-    A length that changes keeps its tolerance, which is that of the process it is made by; where there is a `note`, it
-    stands in place of what was said of the old one.
+    Radii that coincide stay equal. A changed length keeps its tolerance, which belongs to its process. A `note`
+    replaces that of the old length.
 
     Raises:
         InputError: the new lengths do not make a chip.

@@ -1,8 +1,8 @@
-"""Yields: the share of the chips made that meets the requirements, by samples of a model, and by its linearisation.
+"""Yields: the share of chips that meets the requirements.
 
-The linear estimate takes every figure as its value at the mean numbers and its exact derivatives there. On the same
-samples it shows how far a chip is from linear within its tolerances; on many more it sharpens estimates from few
-samples (control variates), such as the gain of half a tolerance.
+They come from samples of a model, and from its linearisation at the mean numbers with exact derivatives. On the same
+samples the linear estimate shows how nonlinear a chip is within its tolerances. On many more samples it reduces the
+variance of estimates from few samples (control variates), such as the gain of half a tolerance.
 """
 
 from __future__ import annotations
@@ -29,8 +29,10 @@ LINEAR_SAMPLES = 2**15
 
 @dataclass(frozen=True)
 class Share:
-    """A share of samples, with the ends of its interval of Clopper and Pearson at :data:`CONFIDENCE`, which holds the
-    true share at least that often."""
+    """A share of samples with its Clopper-Pearson confidence interval.
+
+    The interval from ``low`` to ``high`` contains the true share with a probability of at least :data:`CONFIDENCE`.
+    """
 
     passed: int
     samples: int
@@ -56,8 +58,10 @@ def passed_share(met: Bools) -> Share:
 
 @dataclass(frozen=True)
 class RequiredRange:
-    """A requirement with its numbers: the figure called ``label`` from ``low`` to ``high`` (SI); ``nominal`` is that of
-    the chip as stated."""
+    """A requirement as a range of a figure.
+
+    The figure ``label`` must be from ``low`` to ``high`` (SI); ``nominal`` is that of the chip as stated.
+    """
 
     requirement: Requirement
     label: str
@@ -66,12 +70,15 @@ class RequiredRange:
     nominal: float
 
     def met(self, values: Real) -> Bools:
-        """Which figures (n,) will do; one that does not exist, NaN, will not."""
+        """Whether each figure (n,) is in the range.
+
+        A figure that does not exist, NaN, is not.
+        """
         return (values >= self.low) & (values <= self.high)
 
 
 def bound(requirement: Requirement, label: str, nominal: float) -> RequiredRange:
-    """A requirement about a chip as stated of `nominal` figure (SI).
+    """A requirement as a range, for a chip of `nominal` figure (SI).
 
     Raises:
         InputError: see `workbench.design.requirement.Requirement.limits`.
@@ -81,7 +88,10 @@ def bound(requirement: Requirement, label: str, nominal: float) -> RequiredRange
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """Figures ``nominal`` at the numbers ``means`` (k,), and their derivatives ``gradient`` (k,) by label."""
+    """Figures linearised at the mean numbers.
+
+    They are ``nominal`` at ``means`` (k,), with the derivatives ``gradient`` (k,) by label.
+    """
 
     means: Real
     nominal: Mapping[str, float]
@@ -94,10 +104,11 @@ class LinearModel:
 
 @dataclass(frozen=True)
 class RequirementYield:
-    """The yield of one requirement, or of ``all`` together (``bound`` is None).
+    """The yield of one requirement, or of all together.
 
-    ``linear`` is the linear estimate; ``difference`` (the samples' yield less it, on the same samples) has the standard
-    error ``difference_error``. ``missing`` counts samples without the figure, which fail.
+    ``bound`` is None for all together. ``linear`` is the linear estimate; ``difference`` (the yield of the samples
+    minus it, on the same samples) has the standard error ``difference_error``. ``missing`` counts samples without the
+    figure, which fail.
     """
 
     bound: RequiredRange | None
@@ -114,8 +125,10 @@ class RequirementYield:
 
 @dataclass(frozen=True)
 class Tightening:
-    """The gain in the yield of all requirements together if the number ``name`` had half its uncertainty: ``gain`` with
-    its standard ``error``; ``linear`` is the linear estimate of it."""
+    """The gain in yield if the number ``name`` had half its uncertainty.
+
+    ``gain`` is that of all requirements together, with its standard ``error``; ``linear`` is its linear estimate.
+    """
 
     name: str
     gain: float
@@ -130,7 +143,10 @@ class Tightening:
 
 @dataclass(frozen=True, eq=False)
 class Yields:
-    """Yields of every requirement, of all ``together``, and the gain of tightening each input, best first."""
+    """Yields of every requirement and of all ``together``.
+
+    ``tightenings`` are the gains of tightening each input, best first.
+    """
 
     each: tuple[RequirementYield, ...]
     together: RequirementYield
@@ -142,12 +158,13 @@ def yields(
     linear: LinearModel, *,
     seed: int = 0,
 ) -> Yields:
-    """Yields from samples.
+    """Estimate yields from samples.
 
     Args:
         bounds: the requirements, one at least.
-        points: samples (n, inputs) of the uncertain numbers, ``values`` (n,) their figures by label.
-        linear: the figures about the means.
+        points: samples (n, inputs) of the uncertain numbers.
+        values: their figures (n,) by label.
+        linear: the figures linearised at the means.
         seed: of the further samples of the linear estimate.
     """
     many = uncertainty.draw(LINEAR_SAMPLES, seed + 1).points
@@ -166,8 +183,11 @@ def yields(
 
 @dataclass(frozen=True, eq=False)
 class _Met:
-    """Which samples meet a requirement: by the ``model`` (n,), by its linearisation (n,), and of the ``many`` (m,) that
-    only the linearisation was asked for; ``missing`` (n,) those without the figure."""
+    """The samples that meet a requirement.
+
+    ``model`` (n,) is the model's verdict and ``linear`` (n,) that of its linearisation. ``many`` (m,) are further
+    samples, evaluated by the linearisation only. ``missing`` (n,) are samples without the figure.
+    """
 
     model: Bools
     linear: Bools
@@ -176,20 +196,24 @@ class _Met:
 
     @property
     def off(self) -> Real:
-        """The model's verdict less the one of its linearisation (n,): 1, 0 or -1."""
+        """The verdict of the model minus that of its linearisation.
+
+        It is (n,) of 1, 0 or -1.
+        """
         return self.model.astype(float) - self.linear
 
 
 def _tightened(k: int, uncertainty: Uncertainty, points: Real, many: Real, met: _Met) -> Tightening:
-    """The gain of half the uncertainty of input `k`: the samples weighed as if they were of the narrower law.
+    """The gain of half the uncertainty of input `k`.
 
-    The linear estimate of the gain comes of many samples, and the few of the model correct it where they differ.
+    Samples are weighted as if drawn from the narrower law. The linear estimate of the gain uses many samples; the few
+    of the model correct it where the two differ.
     """
     each = uncertainty.inputs[k]
     weights = halved_weights(each, many[:, k])
-    # The tails cut off from the law are missing from the mean of the weights.
+    # The truncated tails of the law are missing from the mean of the weights.
     size = float(weights.mean())
-    # Less the yield itself, which changes no mean and is known where all samples pass.
+    # Subtracting the yield changes no mean, and gives an exact zero if all samples pass.
     gains = (weights / size - 1.0) * (met.many - met.many.mean())
     off = (halved_weights(each, points[:, k]) / size - 1.0) * met.off
     error = math.sqrt(float(gains.var()) / gains.size + float(off.var()) / off.size)
