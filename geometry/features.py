@@ -25,9 +25,9 @@ _KEYS = ("kind", "layer", "face", "distance", "angle", "diameter", "mass", "stif
 class Feature:
     """A rigid part on a round patch of a layer's plane face.
 
-    ``distance`` (m) is that of the patch's centre from the axis, ``angle`` (rad) its place around the axis, ``diameter``
-    (m) that of the patch. A ``mass`` has kg; a spring to a fixed point has a ``stiffness`` (N/m), equal in all
-    directions, with the share ``loss`` of it as imaginary part.
+    ``distance`` (m) is that of the patch's centre from the axis, ``angle`` (rad) its place around the axis,
+    ``diameter`` (m) that of the patch. A ``mass`` is in kg. A spring to a fixed point has a ``stiffness`` (N/m), equal
+    in all directions, with the share ``loss`` of it as imaginary part.
     """
 
     kind: str
@@ -83,8 +83,8 @@ def check_features(features: Sequence[Feature], layers: Sequence[Layer], measure
         InputError: otherwise.
     """
     if features and not isinstance(measure, Axisymmetric):
-        raise InputError(file, "features", f"{len(features)} in a straight chip", "none: only a round chip has features "
-                         "at a place around its axis")
+        raise InputError(file, "features", f"{len(features)} in a straight chip", "none: only a round chip has "
+                         "features at a place around its axis")
     by_region = {layer.region: layer for layer in layers}
     for i, feature in enumerate(features):
         field = f"features[{i}]"
@@ -106,10 +106,11 @@ def check_features(features: Sequence[Feature], layers: Sequence[Layer], measure
 def feature_keys(feature: Feature) -> dict[str, TomlEntry]:
     """The keys of a feature in a chip file."""
     size, dimension = KINDS[feature.kind]
+    units = ("mg", "g", "kg") if size == "mass" else ("N/m",)
     found: dict[str, TomlEntry] = {
         "kind": feature.kind, "layer": feature.region, "face": feature.face,
         "distance": format_quantity(feature.distance, "length", ("mm", "um", "m")),
         "diameter": format_quantity(feature.diameter, "length", ("mm", "um", "m")),
         "angle": format_quantity(feature.angle, "angle", ("deg", "rad")),
-        size: format_quantity(getattr(feature, size), dimension, {"mass": ("mg", "g", "kg"), "stiffness": ("N/m",)}[size])}
+        size: format_quantity(getattr(feature, size), dimension, units)}
     return found | ({"loss": feature.loss} if feature.loss else {})

@@ -12,6 +12,8 @@ All orders with their factors cos(m t) add up to J_0(k d) in place of the produc
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,42 +32,54 @@ FITTED = 6
 LARGEST, STEP = 100.0, 0.5
 
 
+@dataclass(frozen=True, eq=False)
 class HalfSpace:
-    """The compliances h_p (2, k, k) of some patches at angles (k,), order by order.
+    """The compliances h_p of patches at ``angles`` (k,), as a ``total`` (2, k, k) of orders.
 
     Patches on different faces do not act on each other by short waves.
     """
 
-    def __init__(self, patches: Sequence[Patch], angles: Real) -> None:
-        self._distance, radius = (np.array([getattr(patch, name) for patch in patches])
-                                  for name in ("distance", "radius"))
-        self._turn = angles[:, None] - angles
-        faces = [(patch.region, patch.is_upper) for patch in patches]
-        self._same = np.array([[one == other for other in faces] for one in faces])
-        step = STEP / self._distance.max()
-        # Orders from FITTED on do not reach below; there, the second weight has a pole.
-        self._waves = np.arange(0.5 * FITTED / STEP, LARGEST / radius.min() / step) * step
-        shape = 2.0 * j1(self._waves * radius[:, None]) / (self._waves * radius[:, None])
-        self._weights = step * np.stack([np.ones(self._waves.size), (self._waves[0] / self._waves) ** 2])
-        self._shapes = shape
-        points = self._distance * np.exp(1j * angles)
+    patches: Sequence[Patch]
+    angles: Real
+    total: Real
+
+    @classmethod
+    def of(cls, patches: Sequence[Patch], angles: Real) -> HalfSpace:
+        """The half-space with all orders; one patch at least is beside the axis."""
+        empty = cls(patches, angles, np.zeros(0))
+        points = empty._distance * np.exp(1j * angles)
         apart = np.abs(points[:, None] - points)
-        #: The total of all orders (2, k, k).
-        self.total = self._integrated(j0(apart[:, :, None] * self._waves))
+        return replace(empty, total=empty._integrated(j0(apart[:, :, None] * empty._waves)))
 
     def order(self, order: int) -> Real:
         """The compliances (2, k, k) of one order, without the factor of the angles."""
         waves = jv(order, self._distance[:, None] * self._waves)
         return (1.0 if order == 0 else 2.0) * self._integrated(waves[:, None] * waves)
 
-    def turned(self, order: int) -> Real:
-        """The compliances of one order with the factor of the angles."""
-        return self.order(order) * np.cos(order * self._turn)
+    def without(self, order: int) -> HalfSpace:
+        """The half-space without an order."""
+        turn = order * (self.angles[:, None] - self.angles)
+        return replace(self, total=self.total - self.order(order) * np.cos(turn))
+
+    @cached_property
+    def _distance(self) -> Real:
+        return np.array([patch.distance for patch in self.patches])
+
+    @cached_property
+    def _waves(self) -> Real:
+        """Wave numbers (q,) in 1/m. Orders from FITTED on do not reach below; there, the second weight has a pole."""
+        step, smallest = STEP / self._distance.max(), min(patch.radius for patch in self.patches)
+        return np.arange(0.5 * FITTED / STEP, LARGEST / smallest / step) * step
 
     def _integrated(self, products: Real) -> Real:
-        """Integrals (2, k, k) of products (k, k, q) with the weights, on one face."""
-        weighted = products * self._shapes[:, None] * self._shapes
-        return np.where(self._same, np.einsum("ijq,pq->pij", weighted, self._weights), 0.0)
+        """Integrals (2, k, k) of products (k, k, q) with the weights, between patches of one face."""
+        waves = self._waves
+        reach = waves * np.array([patch.radius for patch in self.patches])[:, None]
+        shape = 2.0 * j1(reach) / reach
+        weights = (waves[1] - waves[0]) * np.stack([np.ones(waves.size), (waves[0] / waves) ** 2])
+        faces = [(patch.region, patch.is_upper) for patch in self.patches]
+        same = [[one == other for other in faces] for one in faces]
+        return np.where(same, np.einsum("ijq,pq->pij", products * shape[:, None] * shape, weights), 0.0)
 
 
 def fitted(compliances: Complex, orders: Real) -> Complex:

@@ -406,9 +406,10 @@ def build(
 ) -> Problem:
     """The problem of a `device`, meshed for `band` (Hz). The default is the chip's band.
 
-    It is that of the round chip: a warning says that features of the chip file are left out, unless the caller adds
-    them (`with_features`). Boundary layers of the cavity's fluid are part of it, unless the device is `inviscid`. `accuracy` is the relative
-    accuracy of Z, or a discretisation; `skins`, `radii` and `levels` are as in `geometry.mesh_size.MeshSize`.
+    It is that of the round chip. A warning says that features of the chip file are left out, unless the caller adds
+    them (`with_features`). Boundary layers of the cavity's fluid are part of it, unless the device is `inviscid`.
+    `accuracy` is the relative accuracy of Z, or a discretisation; `skins`, `radii` and `levels` are as in
+    `geometry.mesh_size.MeshSize`.
 
     Raises:
         InputError: see `workbench.model.discretisation.discretisation`; or the model is too large for the memory

@@ -15,7 +15,7 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: Krylov vectors of each load from a factorisation, and the step of frequency of the change that makes them.
-DEPTH, STEP = 12, 0.01
+DEPTH, STEP = 8, 0.01
 
 #: Part of a vector outside the basis, relative to its own, that is left out: a response is off by its square.
 DEPENDENT = 1e-6

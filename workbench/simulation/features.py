@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,49 +130,82 @@ def coupled(
     NotConverged, ResponseNotConverged : a solve of an order fails.
     OrdersNotConverged : too many orders matter.
     """
-    count = len(parts)
-    directions = (AWAY, UP, ALONG) if count > 1 else (AWAY, UP)
+    patches, angles = [part.patch for part in parts], np.array([part.angle for part in parts])
+    # A single part does not move along the circumference.
+    directions = [AWAY, UP, ALONG] if len(parts) > 1 else [AWAY, UP]
     size = len(directions)
-    displacement = np.vstack([each[list(directions)] for each in driven])
+    displacement = np.vstack([each[directions] for each in driven])
     stiffness = np.repeat(np.array([part.dynamic_stiffness(frequencies) for part in parts]), size, axis=0)
-    compliance = np.zeros((frequencies.size, count * size, count * size), dtype=complex)
-    angle = np.repeat([part.angle for part in parts], size)
-    is_along = np.tile(np.array(directions) == ALONG, count)
-    space = HalfSpace([part.patch for part in parts], np.array([part.angle for part in parts]))
-    above, error, totals = space.total, 0.0, list[Complex]()
-    last, spaces = list[Complex](), list[Real]()
-    operators: FullOperators | None = None
+    is_along = np.tile(np.array(directions) == ALONG, len(parts))
+    turn = np.kron(angles[:, None] - angles, np.ones((size, size)))
+    orders, compliance, error = _Orders(posed, patches, directions, frequencies, tolerance), 0.0, 0.0
+    space = HalfSpace.of(patches, angles) if any(patch.distance for patch in patches) else None
+    last, spaces, totals = list[Complex](), list[Real](), list[Complex]()
     for order in range(MOST_ORDERS):
-        if order <= 2:
-            operators = assemble(posed.mesh, terms_of_order(posed.terms, is_first=order == 1) if order else posed.terms)
-        assert operators is not None
-        system = System(operators, {**posed.values, ORDER: float(order)})
-        forms = np.hstack([patch_forms(operators, part.patch, order)[:, list(directions)] for part in parts])
-        acting = forms.any(axis=0)
-        if acting.any():
-            found = response(system, forms[:, acting], frequencies, tolerance)
-            error, own = max(error, found.error), np.zeros_like(compliance)
-            own[:, *np.ix_(acting, acting)] = found.compliance
-            turn = order * (angle[:, None] - angle)
-            compliance += own * np.where(is_along[:, None] == is_along, np.cos(turn),
-                                         np.where(is_along, np.sin(turn), -np.sin(turn)))
-            last = [*last[1 - FITTED:], own[:, range(len(angle)), range(len(angle))]]
-            spaces = [*spaces[1 - FITTED:], np.repeat(np.diagonal(space.order(order), axis1=1, axis2=2), size, axis=1)]
-            above = above - space.turned(order)
-        elif order:
-            # A patch about the axis moves with orders 0 and 1 alone.
-            return Coupled(_charge(displacement, stiffness, compliance), order, 0.0, error)
-        progress("orders of the features", 1.0 - 1.0 / (1.0 + order / 20.0))
+        own, off = orders.compliance(order)
+        compliance, error = compliance + own * np.where(is_along[:, None] == is_along, np.cos(order * turn), np.where(
+            is_along, 1.0, -1.0) * np.sin(order * turn)), max(error, off)
+        progress("orders of the features", order / (order + 20.0))
+        if space is None:
+            if order == 1:
+                # Patches about the axis move with the first two orders alone.
+                return Coupled(_charge(displacement, stiffness, compliance), 2, 0.0, error)
+            continue
+        last = [*last[1 - FITTED:], np.diagonal(own, axis1=1, axis2=2)]
+        spaces = [*spaces[1 - FITTED:], np.repeat(np.diagonal(space.order(order), axis1=1, axis2=2), size, axis=1)]
+        space = space.without(order)
         if order < FITTED:
             continue
         constants = fitted(np.array(last), np.array(spaces))
         pairs = 0.5 * (constants[:, :, :, None] + constants[:, :, None])
-        rest = np.einsum("pnij,pij->nij", pairs, np.kron(above, np.eye(size)))
-        totals.append(_charge(displacement, stiffness, compliance + rest))
-        moved = float(np.abs(totals[-1] - totals[max(0, len(totals) - 1 - FITTED):]).max() / np.abs(totals[-1]).max())
+        rest = np.einsum("pnij,pij->nij", pairs, np.kron(space.total, np.eye(size)))
+        totals = [*totals[-FITTED:], _charge(displacement, stiffness, compliance + rest)]
+        moved = float(np.abs(totals[-1] - totals).max() / (np.abs(totals[-1]).max() or 1.0))
         if len(totals) > FITTED and moved <= tolerance:
             return Coupled(totals[-1], order + 1, moved, error)
     raise OrdersNotConverged(f"the total of {MOST_ORDERS} orders still moves by {moved:.1e}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Orders:
+    """The compliances of patches in some directions, by order."""
+
+    posed: Problem
+    patches: Sequence[Patch]
+    directions: list[int]
+    frequencies: Real
+    tolerance: float
+
+    def compliance(self, order: int) -> tuple[Complex, float]:
+        """The compliance (n, k, k) of an order at its own angle, and its relative error."""
+        found, error = self._part(order, self._operators(order))
+        if order == 0 and ALONG in self.directions:
+            # Torsion: fields along s that do not vary along it. Their mean square is one, not a half.
+            torsion, off = self._part(0, self._operators(2), is_torsion=True)
+            return found + 0.5 * torsion, max(error, off)
+        return found, error
+
+    def _part(self, order: int, operators: FullOperators, *, is_torsion: bool = False) -> tuple[Complex, float]:
+        system = System(operators, {**self.posed.values, ORDER: float(order)})
+        forms = np.hstack([patch_forms(operators, patch, order)[:, self.directions] for patch in self.patches])
+        is_along = np.tile(np.array(self.directions) == ALONG, len(self.patches))
+        acting = forms.any(axis=0) & (is_along == is_torsion if order == 0 else True)
+        result = np.zeros((self.frequencies.size, acting.size, acting.size), dtype=complex)
+        if not acting.any():
+            return result, 0.0
+        found = response(system, forms[:, acting], self.frequencies, self.tolerance)
+        at = np.flatnonzero(acting)
+        result[:, at[:, None], at] = found.compliance
+        return result, found.error
+
+    def _operators(self, order: int) -> FullOperators:
+        return self._assembled[min(order, 2)]
+
+    @cached_property
+    def _assembled(self) -> tuple[FullOperators, ...]:
+        """The operators of order 0, of the first and of higher ones."""
+        return tuple(assemble(self.posed.mesh, terms) for terms in (self.posed.terms, *(
+            terms_of_order(self.posed.terms, is_first=is_first) for is_first in (True, False))))
 
 
 def _charge(displacement: Complex, stiffness: Complex, compliance: Complex) -> Complex:

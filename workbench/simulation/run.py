@@ -44,8 +44,8 @@ from workbench.results.notebook import Shown, Summary
 from workbench.results.resonances import resonances_of
 from workbench.results.spectrum import Origin, Spectrum
 from workbench.simulation.energy import EnergySpectrum, energy_spectrum_of
-from workbench.simulation.fixed_point import warmed
 from workbench.simulation.features import part_of, spectrum_with
+from workbench.simulation.fixed_point import warmed
 from workbench.simulation.mesh_error import MeshErrorEstimate
 from workbench.simulation.mesh_error import estimate as mesh_error
 from workbench.simulation.operating_point import OperatingPoint, operating_point
@@ -239,8 +239,8 @@ def simulate(
     device = fill(chip, state, registry := _assuming(registry, assumed_losses, inviscid))
     _check_relative_error(relative_error)
     if chip.features and full:
-        raise InputError("simulate", "full", full, "False for a chip with features: the orders of its fields are coupled "
-                         "by reduced models")
+        raise InputError("simulate", "full", full, "False for a chip with features: the orders of its fields are "
+                         "coupled by reduced models")
     frequencies = frequency_grid(band_of(chip, band), points)
     progress("mesh", 0.0)
     span, of_mesh, energy = (float(frequencies[0]), float(frequencies[-1])), None, None
