@@ -1,4 +1,7 @@
-"""Features of a round chip at a place beside its axis: a drop of solder or glue, a wire, a point support."""
+"""Features of a round chip beside its axis.
+
+They are drops of solder or glue, wires, and point supports.
+"""
 
 from __future__ import annotations
 
@@ -41,8 +44,7 @@ class Feature:
     loss: float = 0.0
 
     def __str__(self) -> str:
-        size = (format_quantity(self.mass, "mass", ("mg", "g", "kg")) if self.kind == "mass"
-                else format_quantity(self.stiffness, "stiffness", ("N/m",)))
+        size = f"{1e6 * self.mass:.6g} mg" if self.kind == "mass" else f"{self.stiffness:.6g} N/m"
         return (f"{self.kind} of {size} on the {self.face} of {self.region}, {millimetres(self.distance)} from the "
                 f"axis at {math.degrees(self.angle):g} deg, {millimetres(self.diameter)} wide")
 
@@ -77,7 +79,7 @@ def _feature(table: FileTable) -> Feature:
 
 
 def check_features(features: Sequence[Feature], layers: Sequence[Layer], measure: Measure, file: str) -> None:
-    """Check that features lie on layers of a round chip and have sizes.
+    """Check the sizes and places of features.
 
     Raises:
         InputError: otherwise.

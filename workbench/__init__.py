@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from geometry.chip import Chip as Chip
     from geometry.chip import read_chip as read_chip
     from geometry.chip_file import write_chip as write_chip
+    from geometry.features import Feature as Feature
     from materials.registry import Registry as Registry
     from workbench.acoustics.captures import Window as Window
     from workbench.acoustics.captures import capture_statistics as capture_statistics
@@ -116,6 +117,7 @@ PUBLIC = {
     "EnergyComparison": "workbench.simulation.energy_comparison",
     "EnergyRecording": "workbench.results.energy_recording",
     "Evaluation": "workbench.design.evaluation",
+    "Feature": "geometry.features",
     "Figures": "workbench.results.merit",
     "FittedResonance": "workbench.results.circuit",
     "Goal": "workbench.design.goal",

@@ -1,6 +1,7 @@
-"""The compliance of high orders, whose waves are so short that a face is like that of an elastic half-space.
+"""The compliance of high orders, as of an elastic half-space.
 
-For a wave number k the compliance of a half-space is c_0 / k, and with inertia c_0 / k + c_2 / k^3. The mean of
+Their waves are so short that the rest of the body does not matter. For a wave number k the compliance of a half-space
+is c_0 / k, and with inertia c_0 / k + c_2 / k^3. The mean of
 J_m(k r) cos(m t) over a disc of radius a is J_m(k R) W(k) with its centre at R and W = 2 J_1(k a) / (k a) (addition
 theorem of Graf). So order m of the compliance between two patches is the sum over p = 0, 1 of
 
@@ -34,9 +35,10 @@ LARGEST, STEP = 100.0, 0.5
 
 @dataclass(frozen=True, eq=False)
 class HalfSpace:
-    """The compliances h_p of patches at ``angles`` (k,), as a ``total`` (2, k, k) of orders.
+    """The compliances h_p of patches on plane faces, summed over orders.
 
-    Patches on different faces do not act on each other by short waves.
+    The patches are at ``angles`` (k,), the sum is the ``total`` (2, k, k). Patches on
+    different faces do not act on each other by short waves.
     """
 
     patches: Sequence[Patch]
@@ -45,14 +47,14 @@ class HalfSpace:
 
     @classmethod
     def of(cls, patches: Sequence[Patch], angles: Real) -> HalfSpace:
-        """The half-space with all orders; one patch at least is beside the axis."""
+        """The half-space with all orders. Not all patches are on the axis."""
         empty = cls(patches, angles, np.zeros(0))
         points = empty._distance * np.exp(1j * angles)
         apart = np.abs(points[:, None] - points)
         return replace(empty, total=empty._integrated(j0(apart[:, :, None] * empty._waves)))
 
     def order(self, order: int) -> Real:
-        """The compliances (2, k, k) of one order, without the factor of the angles."""
+        """The compliances (2, k, k) of one order, at equal angles."""
         waves = jv(order, self._distance[:, None] * self._waves)
         return (1.0 if order == 0 else 2.0) * self._integrated(waves[:, None] * waves)
 
@@ -72,7 +74,10 @@ class HalfSpace:
         return np.arange(0.5 * FITTED / STEP, LARGEST / smallest / step) * step
 
     def _integrated(self, products: Real) -> Real:
-        """Integrals (2, k, k) of products (k, k, q) with the weights, between patches of one face."""
+        """Integrals (2, k, k) of products (k, k, q) with the weights.
+
+        They are zero between patches of different faces.
+        """
         waves = self._waves
         reach = waves * np.array([patch.radius for patch in self.patches])[:, None]
         shape = 2.0 * j1(reach) / reach
@@ -83,9 +88,9 @@ class HalfSpace:
 
 
 def fitted(compliances: Complex, orders: Real) -> Complex:
-    """Constants c_2p (2, n, k) of compliances (m, n, k) of the last orders.
+    """Constants c_2p (2, n, k) of the compliances of orders.
 
-    `orders` (m, 2, k) are h_p of the same orders.
+    The compliances are (m, n, k), and `orders` (m, 2, k) are the h_p of the same orders.
     """
     count = compliances.shape[2]
     return np.stack([np.linalg.lstsq(orders[:, :, i], compliances[:, :, i], rcond=None)[0] for i in range(count)],

@@ -1,8 +1,8 @@
-"""The mean displacement of a round patch of a face, as linear forms of the fields of each order.
+"""The mean displacement of a round patch of a face, by order.
 
-A rigid part on the patch moves with this mean. About the centre of the patch, at the angle 0, fields of the order m
-are u_r, u_z ~ cos(m t), u_s ~ sin(m t), or the same turned by a quarter of their wave, u_r ~ sin(m t), u_s ~ -cos(m t).
-The first move the patch away from the axis and upwards,
+A rigid part on the patch moves with it. About the centre of the patch, at the angle 0, fields of the order m are u_r,
+u_z ~ cos(m t), u_s ~ sin(m t), or the same turned by a quarter of their wave, u_r ~ sin(m t), u_s ~ -cos(m t). The
+first move the patch away from the axis and upwards,
 
     l_x = 1/A int (u_r (C_(m-1) + C_(m+1)) / 2 - u_s (C_(m-1) - C_(m+1)) / 2) r dr,    l_z = 1/A int u_z C_m r dr,
 
@@ -39,9 +39,10 @@ AWAY, UP, ALONG = 0, 1, 2
 
 @dataclass(frozen=True)
 class Patch:
-    """A disc of some ``radius`` on a face of a ``region``, at a ``distance`` from the axis (m both).
+    """A round patch on a face of a ``region``.
 
-    The face is the upper one if ``is_upper``, else the lower one.
+    It has a ``radius``, and its centre a ``distance`` from the axis (m). The face is the upper one if ``is_upper``,
+    else the lower one.
     """
 
     region: str
@@ -55,7 +56,10 @@ class Patch:
         return tuple(sorted({abs(self.distance - self.radius), self.distance, self.distance + self.radius} - {0.0}))
 
     def half_angle(self, radius: Real) -> Real:
-        """Half the angle of circles about the axis, of a `radius` (n,) in m, within the patch."""
+        """Half the angle of a circle about the axis within the patch.
+
+        The `radius` of the circle is (n,) in m.
+        """
         if self.distance == 0.0:
             return np.where(radius <= self.radius, np.pi, 0.0)
         cosine = (radius**2 + self.distance**2 - self.radius**2) / (2.0 * radius * self.distance)
@@ -71,7 +75,9 @@ class NoFreeFace(ValueError):
 
 
 def patch_forms(operators: FullOperators, patch: Patch, order: int) -> Real:
-    """Forms (size, 3) of the mean displacement: away from the axis, upwards, along the circumference.
+    """Forms (size, 3) of the mean displacement of a patch.
+
+    Its directions are :data:`AWAY` from the axis, :data:`UP`, and :data:`ALONG` the circumference.
 
     Raises:
         NoFreeFace: the patch is not within a free plane face of its region.
@@ -98,7 +104,10 @@ def _cosines(order: int, half: Real) -> Real:
 
 
 def _pieces(mesh: SectionMesh, patch: Patch) -> Iterator[tuple[NDArray[np.int64], Real, Real, Real]]:
-    """Dofs (nb,), values (nq, nb), radii (nq,) and weights (nq,) of the parts of a patch in each cell of its face."""
+    """Quadrature of a patch in each cell of its face.
+
+    Returns dofs (nb,), values of their functions (nq, nb), radii (nq,) in m and weights (nq,).
+    """
     cells = np.asarray(mesh.mesh.subdomains[patch.region])
     heights = mesh.mesh.p[1, mesh.mesh.t[:, cells]]
     face = heights.max() if patch.is_upper else heights.min()

@@ -361,9 +361,10 @@ class System:
 
 
 def krylov(factor: Factor, change: SplitMatrix, start: Complex, count: int) -> Complex:
-    """Vectors (size - 1, count) of the Krylov space of A_0^-1 `change`, without its first.
+    """Vectors (size - 1, count) of a Krylov space, without its first.
 
-    A_0 is the factorised matrix, `start` (size,) the first vector. The others are orthonormal in the scaled unknowns.
+    The space is that of A_0^-1 `change`. A_0 is the factorised matrix, `start` (size,) the first vector. The others are
+    orthonormal in the scaled unknowns.
     """
     free = start.size - 1
     directions = np.empty((free, count), dtype=complex, order="F")

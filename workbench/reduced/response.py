@@ -1,4 +1,7 @@
-"""The response of fields to loads over a band, by projection on Krylov vectors of a few factorisations."""
+"""The response of fields to loads over a band.
+
+The model is projected on Krylov vectors of a few factorisations.
+"""
 
 from __future__ import annotations
 
@@ -30,11 +33,11 @@ class ResponseNotConverged(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Fields of a model under unit loads at zero voltage, over a band.
+    """Fields of a model under unit loads, over a band.
 
-    ``compliance`` (n, k, k) are the works l_i^T A^-1 l_j of the load i on the fields of the load j. The fields are the
-    real ``basis`` (size - 1, r) times ``coordinates`` (k, r, n). ``error`` is the largest relative error of the
-    compliance at the last factorised frequency, before its vectors were added.
+    There is no voltage. ``compliance`` (n, k, k) are the works l_i^T A^-1 l_j of the load i on the fields of the load
+    j. The fields are the real ``basis`` (size - 1, r) times ``coordinates`` (k, r, n). ``error`` is the largest
+    relative error of the compliance at the last factorised frequency, before its vectors were added.
     """
 
     compliance: Complex
@@ -48,9 +51,10 @@ class Response:
 
 
 def response(system: System, loads: Real, frequencies: Real, tolerance: float) -> Response:
-    """The response to `loads` (size, k) at frequencies (n,) in Hz, to a relative `tolerance`.
+    """The response to `loads` (size, k) over a band.
 
-    Frequencies are factorised where the response changed most, until it was right there beforehand.
+    The frequencies (n,) are in Hz, and the compliance has the relative `tolerance`. Frequencies are factorised where
+    the response changed most, until it was right there beforehand.
 
     Raises
     ------
@@ -93,7 +97,10 @@ def _response(system: System, loads: Real, frequencies: Real, tolerance: float) 
 
 
 def _next(frequencies: Real, change: Real, done: list[int]) -> int:
-    """The index of the next frequency: the middle, then where the response changed, away from those done."""
+    """The index of the next frequency to factorise.
+
+    It is the middle, and then one at which the response changed, away from those done.
+    """
     if not done:
         return frequencies.size // 2
     apart = np.abs(frequencies[:, None] - frequencies[done]).min(axis=1)

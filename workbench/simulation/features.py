@@ -1,4 +1,4 @@
-"""Parts at a place beside the axis of a round chip, which couple the orders of its fields.
+"""The orders of a round chip, coupled by features beside its axis.
 
 A rigid part on a small patch adds the dynamic stiffness d (-w^2 m of a mass m) times the square of the patch's mean
 displacement l^T x. The chip without it has one system A_m for each order m, and only order 0 is driven. With the
@@ -47,9 +47,10 @@ class OrdersNotConverged(RuntimeError):
 
 @dataclass(frozen=True)
 class RigidPart:
-    """A rigid part on a ``patch`` at an ``angle`` (rad), of ``mass`` (kg) and ``stiffness`` (N/m) to a fixed point.
+    """A rigid part on a patch.
 
-    The stiffness is complex with a loss, e^{-i w t}.
+    The ``patch`` is at an ``angle`` (rad). The part has a ``mass`` (kg) and a ``stiffness`` (N/m) to a fixed point,
+    complex with a loss, e^{-i w t}.
     """
 
     patch: Patch
@@ -71,7 +72,7 @@ def part_of(feature: Feature) -> RigidPart:
 def spectrum_with(
     chip: Chip, posed: Problem, found: SolvedSpectrum, progress: Progress
 ) -> tuple[SolvedSpectrum, tuple[str, ...]]:
-    """The spectrum of a reduced model with the features of the chip, and findings on them.
+    """The spectrum with the features of the chip, and findings.
 
     Raises
     ------
@@ -100,10 +101,11 @@ def spectrum_with(
 
 @dataclass(frozen=True, eq=False)
 class Coupled:
-    """The change of the charge (n,) in C at 1 V by rigid parts, and the number of ``orders`` that it needed.
+    """The change of the charge by rigid parts.
 
-    ``moved`` is the part of the largest change by which the total moved in the last orders, ``error`` the largest
-    relative error of a compliance.
+    ``charge`` (n,) is in C at 1 V, and ``orders`` is the number of orders that were computed. ``moved`` is the part of
+    the largest change by which the total moved in the last orders, ``error`` the largest relative error of a
+    compliance.
     """
 
     charge: Complex
@@ -177,7 +179,10 @@ class _Orders:
     tolerance: float
 
     def compliance(self, order: int) -> tuple[Complex, float]:
-        """The compliance (n, k, k) of an order at its own angle, and its relative error."""
+        """The compliance (n, k, k) of an order, and its relative error.
+
+        The parts are at equal angles.
+        """
         found, error = self._part(order, self._operators(order))
         if order == 0 and ALONG in self.directions:
             # Torsion: fields along s that do not vary along it. Their mean square is one, not a half.

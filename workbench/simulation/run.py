@@ -275,7 +275,7 @@ def simulate(
         figures=merit, no_resonance=reason, error=found.error, mesh_error=of_mesh, solves=found.solves + 1,
         seconds=lap.seconds, capacitance=capacitance(system), left_out=left_out, solution=shot.solution, energy=energy,
         warm=shot.warm, operating=replace(operating, follows=shot.warm is not None and shot.warm.is_followed),
-        findings=(*findings_of(found, relative_error, device, left_out, spectrum, merit), *more, *shot.findings))
+        findings=(*more, *findings_of(found, relative_error, device, left_out, spectrum, merit), *shot.findings))
 
 
 def energy_spectrum(
