@@ -424,8 +424,9 @@ def build(
     size = fineness.mesh_size(device.section, device.materials, high, skins=skins, radii=radii,
                               levels=levels)
     if device.chip.features and not with_features:
-        warnings.warn(LeftOutWarning(f"{device.chip.file}: {len(device.chip.features)} features are left out: only the "
-                                     "spectrum of `simulate` has them"), stacklevel=2)
+        listed = "; ".join(map(str, device.chip.features))
+        warnings.warn(LeftOutWarning(f"{device.chip.file}: left out ({listed}): only the spectrum of `simulate` has "
+                                     "features"), stacklevel=2)
     for note in device.section.notes if isinstance(device.section, FreeSection) else ():
         warnings.warn(LeftOutWarning(f"{device.chip.file}: left out of {note}"), stacklevel=2)
     mesh = shaped(meshed(device.section, size), device.chip)

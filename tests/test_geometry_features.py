@@ -1,0 +1,97 @@
+"""Features of a chip file: what is read, written back and refused."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from geometry.chip import Chip, read_chip
+from geometry.chip_file import chip_text
+from geometry.features import Feature
+from workbench.files.errors import InputError
+from workbench.model.problem import LeftOutWarning, build, fill
+from workbench.simulation.run import simulate
+
+CHIPS = Path(__file__).resolve().parent.parent / "geometry" / "chips"
+SOLDER = """
+[[features]]
+kind = "mass"
+layer = "transducer"
+face = "bottom"
+distance = "9 mm"
+angle = "120 deg"
+diameter = "2 mm"
+mass = "5 mg"
+"""
+WIRE = '[[features]]\nkind = "spring"\ndistance = "1 cm"\ndiameter = "500 um"\nstiffness = "2e4 N/m"\nloss = 0.1\n'
+
+
+@pytest.fixture
+def disc(tmp_path: Path) -> Path:
+    path = tmp_path / "disc.toml"
+    path.write_text((CHIPS / "free_disc_25x2.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    return path
+
+
+def with_features(disc: Path, text: str) -> Chip:
+    disc.write_text(disc.read_text(encoding="utf-8") + text, encoding="utf-8")
+    return read_chip(disc)
+
+
+def test_features_are_read_and_written(disc: Path) -> None:
+    chip = with_features(disc, SOLDER + WIRE)
+    solder, wire = chip.features
+    assert solder == Feature("mass", "transducer", "bottom", pytest.approx(9e-3), 2e-3,
+                             pytest.approx(math.radians(120.0)), mass=pytest.approx(5e-6))
+    assert (wire.region, wire.face, wire.distance, wire.stiffness, wire.loss) == (
+        "transducer", "top", pytest.approx(0.01), 2e4, 0.1)
+    again = disc.with_name("again.toml")
+    again.write_text(chip_text(chip, disc.parent), encoding="utf-8")
+    assert read_chip(again).features == chip.features
+
+
+@pytest.mark.parametrize(("old", "new", "field", "words"), [
+    ('"mass"', '"mas"', "features[0].kind", "mass"),
+    ('"transducer"', '"transduser"', "features[0].layer", "transducer"),
+    ('"bottom"', '"side"', "features[0].face", "top"),
+    ('"9 mm"', '"12 mm"', "features[0].distance", "11.5 mm"),
+    ('"9 mm"', '"-1 mm"', "features[0].distance", "0 mm"),
+    ('"9 mm"', "9", "features[0].distance", "mm"),
+    ('"2 mm"', '"0 mm"', "features[0].diameter", "above zero"),
+    ('"5 mg"', '"0 mg"', "features[0].mass", "above zero"),
+    ('"5 mg"', '"5 mm"', "features[0].mass", "mg"),
+    ('mass = "5 mg"', "", "features[0].mass", "mass with its unit"),
+    ('mass = "5 mg"', 'stiffness = "1 N/m"', "features[0].stiffness", "mass"),
+    ('mass = "5 mg"', 'mass = "5 mg"\nloss = 0.1', "features[0].loss", "mass"),
+    ('distance = "9 mm"', 'radius = "9 mm"', "features[0].radius", "distance"),
+])
+def test_a_mistake_is_named(disc: Path, old: str, new: str, field: str, words: str) -> None:
+    with pytest.raises(InputError) as error:
+        with_features(disc, SOLDER.replace(old, new))
+    assert (error.value.field, words in str(error.value)) == (field, True), str(error.value)
+
+
+def test_a_straight_chip_has_none() -> None:
+    chip = read_chip(CHIPS / "glass_channel.toml")
+    with pytest.raises(InputError, match="straight"):
+        replace(chip, features=(Feature("mass", "transducer", "top", 1e-3, 1e-4, mass=1e-6),))
+
+
+def test_a_face_that_is_bonded_has_none(disc: Path) -> None:
+    chip = read_chip(CHIPS / "disc_gel_pla.toml")
+    bonded = replace(chip, features=(Feature("mass", "transducer", "top", 5e-3, 1e-3, mass=1e-6),))
+    with pytest.raises(InputError, match=r"features\[0\].distance.*nothing else touches"):
+        simulate(bonded, band=(60e3, 80e3), points=5)
+
+
+def test_orders_are_not_solved_point_by_point(disc: Path) -> None:
+    with pytest.raises(InputError, match="full"):
+        simulate(with_features(disc, SOLDER), band=(60e3, 80e3), points=5, full=True)
+
+
+def test_other_commands_say_that_features_are_left_out(disc: Path) -> None:
+    with pytest.warns(LeftOutWarning, match="left out .mass of 5 mg on the bottom of transducer"):
+        build(fill(with_features(disc, SOLDER)), band=(60e3, 80e3))
