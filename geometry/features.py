@@ -43,9 +43,13 @@ class Feature:
     stiffness: float = 0.0
     loss: float = 0.0
 
+    @property
+    def size(self) -> str:
+        """The mass or the stiffness in words."""
+        return f"{1e6 * self.mass:.6g} mg" if self.kind == "mass" else f"{self.stiffness:.6g} N/m"
+
     def __str__(self) -> str:
-        size = f"{1e6 * self.mass:.6g} mg" if self.kind == "mass" else f"{self.stiffness:.6g} N/m"
-        return (f"{self.kind} of {size} on the {self.face} of {self.region}, {millimetres(self.distance)} from the "
+        return (f"{self.kind} of {self.size} on the {self.face} of {self.region}, {millimetres(self.distance)} from the "
                 f"axis at {math.degrees(self.angle):g} deg, {millimetres(self.diameter)} wide")
 
 

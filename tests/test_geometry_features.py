@@ -6,6 +6,8 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import matplotlib.image
+import numpy as np
 import pytest
 
 from geometry.chip import Chip, read_chip
@@ -13,6 +15,7 @@ from geometry.chip_file import chip_text
 from geometry.features import Feature
 from workbench.files.errors import InputError
 from workbench.model.problem import LeftOutWarning, build, fill
+from workbench.render.features import draw_features
 from workbench.simulation.run import simulate
 
 CHIPS = Path(__file__).resolve().parent.parent / "geometry" / "chips"
@@ -95,3 +98,12 @@ def test_orders_are_not_solved_point_by_point(disc: Path) -> None:
 def test_other_commands_say_that_features_are_left_out(disc: Path) -> None:
     with pytest.warns(LeftOutWarning, match="left out .mass of 5 mg on the bottom of transducer"):
         build(fill(with_features(disc, SOLDER)), band=(60e3, 80e3))
+
+
+def test_features_are_drawn_from_above(disc: Path, tmp_path: Path) -> None:
+    chip = with_features(disc, SOLDER + WIRE)
+    picture = matplotlib.image.imread(draw_features(chip, tmp_path / "features.png"))
+    # The two colours of the features are seen, each on more than a dot.
+    for colour in ((0xd5, 0x5e, 0x00), (0x00, 0x72, 0xb2)):
+        is_near = np.abs(255.0 * picture[:, :, :3] - np.array(colour)).max(axis=2) < 2.0
+        assert is_near.sum() > 100

@@ -16,7 +16,7 @@ from workbench.render.canvas import Picture
 from workbench.simulation.run import DrawnState
 
 #: Fields that can be requested by name.
-FIELDS = ("displacement", "pressure", "gorkov", "cutaway", "losses", "mesh")
+FIELDS = ("displacement", "pressure", "gorkov", "cutaway", "losses", "mesh", "features")
 
 #: Thickness of a fluid, relative to the chip's height, below which it is only a line in a picture.
 VISIBLE = 0.01
@@ -36,7 +36,7 @@ def draw_state(
     """
     makers: Mapping[str, Callable[[DrawnState, Path], tuple[_Pictures, str]]] = {
         "displacement": _displacement, "pressure": _pressure, "gorkov": _gorkov, "cutaway": _cutaway,
-        "losses": _losses, "mesh": _mesh,
+        "losses": _losses, "mesh": _mesh, "features": _features,
     }
     pictures: _Pictures = []
     fluid = shot.problem.materials.get(CAVITY)
@@ -115,6 +115,15 @@ def _mesh(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
 
     path = sections.draw_regions(shot.fields.mesh, folder / f"mesh_{shot.state}.png")
     return [Picture(path, f"{shot.state}: regions and cells of the mesh")], ""
+
+
+def _features(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
+    from workbench.render import features
+
+    if not shot.chip.features:
+        return [], "the chip file has no features"
+    path = features.draw_features(shot.chip, folder / f"features_{shot.state}.png")
+    return [Picture(path, f"{shot.state}: features of the chip, from above")], ""
 
 
 def load_libraries() -> None:
