@@ -220,6 +220,17 @@ def _particles(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
+def _chips(sub: argparse.ArgumentParser) -> None:
+    actions = sub.add_subparsers(dest="action", required=True, metavar="ACTION")
+    text = "the chip files of the package"
+    actions.add_parser("list", help=text, description=text)
+    text = "copy one of them, to begin with"
+    copy = actions.add_parser("copy", help=text, description=text)
+    copy.add_argument("name", metavar="NAME", help="of the list (must be given)")
+    copy.add_argument("-o", "--output", type=Path, metavar="FILE",
+                      help="file that does not exist yet, or a folder (default: NAME.toml in this folder)")
+
+
 def _materials(sub: argparse.ArgumentParser) -> None:
     actions = sub.add_subparsers(dest="action", required=True, metavar="ACTION")
 
@@ -513,6 +524,7 @@ COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = 
     "app": ("the live view: move dimensions and constants on a page, see spectrum and fields", _app),
     "measure": ("sweep on the bench into a crash-safe run file, with spectrum and report", _measure),
     "import": ("impedance from waveforms that an oscilloscope saved, in pairs", _import),
+    "chips": ("list the chip files of the package, or copy one to begin with", _chips),
     "bench": ("the instruments: list, check, and a simulated bench", _bench),
     "materials": ("list, show, compare, check, withdraw, export or import materials", _materials),
 }

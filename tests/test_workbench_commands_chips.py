@@ -1,0 +1,37 @@
+"""The chip files of the package: listed, copied, and never over a file of the user."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from geometry.chip import read_chip
+from workbench.cli import main
+from workbench.commands.chips import SHIPPED
+
+
+def test_every_shipped_chip_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["chips", "list"]) == 0
+    shown = capsys.readouterr().out
+    assert all(path.stem in shown for path in SHIPPED.glob("*.toml"))
+
+
+def test_a_copy_is_the_same_chip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["chips", "copy", "glass_channel"]) == 0
+    assert main(["chips", "copy", "reference_chip", "-o", str(tmp_path / "mine.toml")]) == 0
+    (tmp_path / "folder").mkdir()
+    assert main(["chips", "copy", "glass_channel", "-o", "folder"]) == 0
+    for name, file in (("glass_channel", "glass_channel.toml"), ("reference_chip", "mine.toml"),
+                       ("glass_channel", "folder/glass_channel.toml")):
+        assert read_chip(tmp_path / file).layers == read_chip(SHIPPED / f"{name}.toml").layers
+
+
+def test_a_file_stays_and_a_wrong_name_is_answered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text("mine", encoding="utf-8")
+    assert main(["chips", "copy", "glass_channel", "-o", str(mine)]) == 2
+    assert mine.read_text(encoding="utf-8") == "mine"
+    assert main(["chips", "copy", "glas_channel"]) == 2
+    assert "glass_channel" in capsys.readouterr().err

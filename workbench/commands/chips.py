@@ -1,0 +1,41 @@
+"""``workbench chips``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import geometry
+from geometry.chip import read_chip
+from workbench.commands.terminal import print_line, print_table
+from workbench.files.errors import InputError, choose
+from workbench.report.page import table
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+#: Folder of the chip files of the package.
+SHIPPED = Path(geometry.__file__).parent / "chips"
+
+
+def run_chips(options: argparse.Namespace, _console: Console) -> int:
+    """``workbench chips``: list the chip files of the package, or copy one."""
+    shipped = {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
+    if options.action == "list":
+        chips = [read_chip(path) for path in shipped.values()]
+        print_table("chips of the package", table("name | title | states", [
+            (name, chip.name, ", ".join(state.name for state in chip.states))
+            for name, chip in zip(shipped, chips, strict=True)]))
+        return 0
+    name = choose(options.name, shipped, source="command line", field="NAME")
+    target = options.output or Path(f"{name}.toml")
+    if target.is_dir():
+        target = target / f"{name}.toml"
+    try:
+        with target.open("x", encoding="utf-8") as file:
+            file.write(shipped[name].read_text(encoding="utf-8"))
+    except FileExistsError:
+        raise InputError("command line", "-o", str(target), "a file that does not exist yet") from None
+    print_line(str(target))
+    return 0
