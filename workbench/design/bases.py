@@ -13,11 +13,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from geometry.plausible import as_text
 from workbench.acoustics.sound_energy import SoundEnergy, sound_energy
@@ -30,13 +30,13 @@ from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import Solution, one_thread
 from workbench.files.errors import InputError
 from workbench.jobs.progress import Progress, no_progress
-from workbench.model.numbers import ParameterName, placed
+from workbench.model.numbers import ParameterName
 from workbench.model.problem import Problem
 from workbench.physics.term import Values
 from workbench.reduced.basis import smallest_part
 from workbench.reduced.compact import compacted, gathered
 from workbench.reduced.model import ReducedModel, sketched_error
-from workbench.reduced.ranges import RangeModel, Ranges, range_keys
+from workbench.reduced.ranges import RangeModel, Ranges, points_within, range_keys
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -172,13 +172,11 @@ def bases_of(
     def sound_of(model: ReducedModel) -> SoundEnergy | None:
         return None if whole is None else whole.on(model.basis, moving, own)
 
-    sampler, energy = qmc.Sobol(len(names), seed=seed), sound_of(made.compact)
-    low, high = (np.array(ends) for ends in zip(*made.ranges.values(), strict=True))
-    moves = REACH * (high - low)
+    points, energy = points_within(made.ranges, own, seed), sound_of(made.compact)
+    moves = REACH * np.array([high - low for low, high in made.ranges.values()])
 
     def drawn(count: int) -> list[_Sample]:
-        points = low + (high - low) * np.array([sampler.random(1)[0] for _ in range(count)])
-        return list(pool.map(lambda point: _sampled(made, point, responses, stated, energy), points))
+        return list(pool.map(lambda values: _sampled(made, values, responses, stated, energy), islice(points, count)))
 
     with one_thread(), ThreadPoolExecutor(max_workers=2) as pool:
         rough = drawn(max(FEWEST, SWEPT * len(names)) + CHECKED)
@@ -207,11 +205,10 @@ def bases_of(
 
 
 def _sampled(
-    made: RangeModel, point: Real, responses: Sequence[ResonantQuantity], stated: float | None,
+    made: RangeModel, values: Values, responses: Sequence[ResonantQuantity], stated: float | None,
     sound: SoundEnergy | None,
 ) -> _Sample:
-    """The rough spectrum at a point (k,) of the ranges."""
-    values = placed(made.problem.values, dict(zip(made.ranges, map(float, point), strict=True)))
+    """The rough spectrum at some `values` within the ranges."""
     system = ReducedSystem(made.compact.operators, values)
     sweep, model = system.sweep(made.frequency), Responding(system, values, sound)
     # The impedance's resonance counts where nothing is followed, too.

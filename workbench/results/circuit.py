@@ -293,7 +293,7 @@ class BranchCircuit:
     def _brackets(self, frequency: Real) -> tuple[Real, Complex, Complex]:
         """u^2, j u / Q, and 1 - u^2 + j u / Q, each (n, k)."""
         u = frequency[:, None] / self.frequencies
-        loss = 1j * u / _exponential(self.branches[:, 1])
+        loss = np.asarray(1j * u / _exponential(self.branches[:, 1]), dtype=np.complex128)
         return u**2, loss, 1.0 - u**2 + loss
 
     def capacitance(self, frequency: Real, without: Collection[int] = ()) -> tuple[Complex, Complex]:
@@ -332,12 +332,14 @@ class BranchCircuit:
         weight = 1.0 if seen.uncertainty is None else seen.magnitude / seen.uncertainty
 
         def whole(part: Real) -> BranchCircuit:
-            vector[free] = part
-            return self.moved(vector[:-3].reshape(-1, OF_BRANCH), vector[-3:])
+            moved = vector.copy()
+            moved[free] = part
+            return self.moved(moved[:-3].reshape(-1, OF_BRANCH), moved[-3:])
 
         def misfit(part: Real) -> tuple[Complex, Complex]:
             impedance, slopes = whole(part).impedance(seen.frequency)
-            return weight * np.log(impedance / seen.impedance), (weight / impedance)[:, None] * slopes[:, free]
+            off: Complex = np.log(impedance / seen.impedance)
+            return weight * off, (weight / impedance)[:, None] * slopes[:, free]
 
         part, own, squares = least_squares_of(misfit, vector[free], known=seen.uncertainty is not None,
                                               bounds=bounds[:, free], near=self.has_losses)

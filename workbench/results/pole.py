@@ -64,7 +64,7 @@ def fit_pole(
     scale = np.full(len(x), start.z_min) if seen.uncertainty is None else seen.magnitude**2 / seen.uncertainty
 
     def columns(pole: complex) -> NDArray[np.complex128]:
-        return scale[:, None] * np.column_stack([1.0 / (x - pole), np.ones_like(x), x])
+        return np.column_stack([scale / (x - pole), scale + 0j, scale * x])
 
     def misfit(vector: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         pole, *amplitudes = vector[:4] + 1j * vector[4:]
