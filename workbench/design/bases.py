@@ -167,7 +167,8 @@ def bases_of(
         NotConfirmed: full solves find larger errors after all rounds.
     """
     names, moving = tuple(ParameterName.parse(name).key for name in made.ranges), range_keys(made.ranges)
-    whole, own = sound_energy(made.reduced.full), made.problem.values
+    full, own = made.reduced.full, made.problem.values
+    whole = sound_energy(full)
 
     def sound_of(model: ReducedModel) -> SoundEnergy | None:
         return None if whole is None else whole.on(model.basis, moving, own)
@@ -178,22 +179,24 @@ def bases_of(
     def drawn(count: int) -> list[_Sample]:
         return list(pool.map(lambda values: _sampled(made, values, responses, stated, energy), islice(points, count)))
 
+    def solved(samples: Sequence[_Sample]) -> list[tuple[_Sample, LinearisedState]]:
+        every = [(each, at) for each in samples for at in each.driven]
+        return list(pool.map(lambda one: (one[0], FullSystem(full, one[0].values).linearised(one[1], names)), every))
+
     with one_thread(), ThreadPoolExecutor(max_workers=2) as pool:
         rough = drawn(max(FEWEST, SWEPT * len(names)) + CHECKED)
         sweeping = _sweeping(made.compact, rough[CHECKED:], rough[:CHECKED], sound_of)
         width = min(each.width for each in rough)
-        first = [(each, at) for each in rough[: max(LEAST, TAKEN * len(names))] for at in each.driven]
-        columns = list(pool.map(lambda each: _columns(made, each[0], each[1], names, moves, width), first))
+        known = solved(rough[: max(LEAST, TAKEN * len(names))])
         for turn in range(ROUNDS):
-            operating = made.reduced.spanning(np.concatenate(columns, axis=1), smallest_part(tolerance))
-            checked = [(each, at) for each in drawn(CHECKED) for at in each.driven]
-            fulls = list(pool.map(lambda each: FullSystem(made.reduced.full, each[0].values).linearised(each[1]),
-                                  checked))
-            error, pressure_error = _errors(operating, cavity, whole, [each for each, _ in checked], fulls)
+            columns = np.concatenate([_columns(each, moves, width) for _, each in known], axis=1)
+            operating = made.reduced.spanning(columns, smallest_part(tolerance))
+            checked = solved(drawn(CHECKED))
+            error, pressure_error = _errors(operating, cavity, whole, checked)
             progress("figures", (turn + 1.0) / ROUNDS)
             if error <= tolerance and pressure_error <= OF_PRESSURE * tolerance:
                 break
-            columns += pool.map(lambda each: _columns(made, each[0], each[1], names, moves, width), checked)
+            known = [*known, *checked]
         else:
             raise NotConfirmed(error, pressure_error, tolerance)
     band = made.frequency[-1] - made.frequency[0]
@@ -228,14 +231,10 @@ def _width(frequency: Real, level: Real, lowest: int) -> float:
     return float(frequency[above[0] if above.size else -1] - frequency[below[-1] if below.size else 0])
 
 
-def _columns(
-    made: RangeModel, sample: _Sample, driven: float, names: tuple[str, ...], moves: Real, width: float
-) -> Complex:
-    """The full state (size, n) at a point and what moves of frequency and parameters change it by, over the root of
-    the charge."""
-    found = FullSystem(made.reduced.full, sample.values).linearised(driven, names)
-    moved = np.column_stack([width * found.by_frequency, found.by_parameter * moves])
-    return np.column_stack([found.state, moved]) / np.sqrt(abs(found.charge))
+def _columns(full: LinearisedState, moves: Real, width: float) -> Complex:
+    """A full state (size, n) and its changes by moves of frequency and parameters, over the root of the charge."""
+    changes = np.column_stack([width * full.by_frequency, full.by_parameter * moves])
+    return np.column_stack([full.state, changes]) / np.sqrt(abs(full.charge))
 
 
 def _sweeping(
@@ -272,14 +271,14 @@ def _off(model: ReducedModel, checked: Sequence[_Sample], sound: SoundEnergy | N
 
 
 def _errors(
-    operating: ReducedModel, cavity: Cavity | None, whole: SoundEnergy | None, samples: Sequence[_Sample],
-    fulls: Sequence[LinearisedState],
+    operating: ReducedModel, cavity: Cavity | None, whole: SoundEnergy | None,
+    checked: Sequence[tuple[_Sample, LinearisedState]],
 ) -> tuple[float, float]:
     """The largest relative errors of Z and of the pressure (root mean square) against full states."""
     rows = None if cavity is None else cavity.pressure_rows(operating.basis)
     energy = None if whole is None else whole.on(operating.basis)
     errors, pressures = [0.0], [0.0]
-    for sample, full in zip(samples, fulls, strict=True):
+    for sample, full in checked:
         small = ReducedSystem(operating.operators, sample.values).linearised(full.frequency)
         errors.append(abs(small.charge / full.charge - 1.0))
         if cavity is not None and rows is not None:

@@ -196,10 +196,10 @@ def _projected_image(left: Real, matrix: SplitMatrix, columns: Real) -> Complex:
 def enriched(
     trial: TrialBasis, samples: Sequence[Sample], *, smallest: float, tolerance: float = np.inf
 ) -> ReducedModel:
-    """The model of a trial, enriched by its needed candidates, then by the changes of `samples`.
+    """The model enriched by a trial and by the changes of `samples`.
 
-    Directions of size below `smallest`, in the root of the energy over the charge, are omitted; `tolerance` is as in
-    :meth:`TrialBasis.needed`.
+    It adds the needed candidates of the trial. Directions of size below `smallest`, in the root of the energy over
+    the charge, are omitted; `tolerance` is as in :meth:`TrialBasis.needed`.
     """
     changes = np.column_stack([each.changes for each in samples])
     return trial.model.joined([trial.needed(smallest, tolerance), (changes, smallest)]).counted(

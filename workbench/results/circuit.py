@@ -211,7 +211,7 @@ def check_passive_spectrum(spectrum: Spectrum, *, source: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class BranchCircuit:
-    """The circuit of a spectrum: its parameters, and which of them are free.
+    """The circuit of a spectrum, with free and fixed parameters.
 
     ``branches`` (k, 4) are ln f, ln Q, ln C and phase; ``rest`` (3,) is ln C0, t and Rs. Phases and t are free with
     ``has_losses``, Rs with ``has_resistance``. The first branches lie beyond the band, f (Hz) within the ends
@@ -291,13 +291,16 @@ class BranchCircuit:
         return self.moved(branches, rest)
 
     def _brackets(self, frequency: Real) -> tuple[Real, Complex, Complex]:
-        """u^2, j u / Q, and 1 - u^2 + j u / Q, each (n, k)."""
+        """u^2, j u / Q and their brackets, each (n, k)."""
         u = frequency[:, None] / self.frequencies
         loss = np.asarray(1j * u / _exponential(self.branches[:, 1]), dtype=np.complex128)
         return u**2, loss, 1.0 - u**2 + loss
 
     def capacitance(self, frequency: Real, without: Collection[int] = ()) -> tuple[Complex, Complex]:
-        """Y / (j w) (n,) in F, without Rs and the branches of the indices `without`; its derivatives (n, p)."""
+        """Y / (j w) (n,) in F and its derivatives (n, p).
+
+        Rs and the branches of the indices `without` are omitted.
+        """
         square, loss, bracket = self._brackets(frequency)
         parts = _exponential(self.branches[:, 2]) * np.exp(1j * self.branches[:, 3]) / bracket
         parts[:, list(without)] = 0.0

@@ -122,7 +122,10 @@ def unresolved(circuit: BranchCircuit) -> str | None:
 
 
 def conductance_peaks(spectrum: Spectrum) -> Real:
-    """Frequency (Hz), Q and series capacitance (F) of peaks (k, 3) of Re Y, the most prominent one first."""
+    """Frequency (Hz), Q and series capacitance (F) of conductance peaks (k, 3).
+
+    The most prominent one is first.
+    """
     conductance = spectrum.admittance.real
     if not np.max(conductance) > 0.0:
         return np.zeros((0, 3))
@@ -156,7 +159,7 @@ def _start(spectrum: Spectrum, count: int | None) -> BranchCircuit:
 
 
 def _attempt(start: BranchCircuit) -> BranchCircuit:
-    """The circuit that is solved from the best amplitudes, or the start if that fails."""
+    """The circuit solved from a start, or the start if that fails."""
     try:
         return start.with_amplitudes().solved()
     except ValueError:
@@ -171,8 +174,10 @@ def _is_incomplete(circuit: BranchCircuit) -> bool:
 
 
 def _with_surroundings(start: BranchCircuit) -> BranchCircuit:
-    """The plain circuit; if it is incomplete, and it is better, the one with losses and two resonances beyond the
-    band's ends. A plain circuit that lacks much may not converge."""
+    """The plain circuit, or a better one with losses and surroundings.
+
+    The surroundings are two resonances beyond the band's ends. A plain circuit that lacks much may not converge.
+    """
     plain = _attempt(start)
     if not _is_incomplete(plain):
         return plain
