@@ -68,24 +68,19 @@ def fit_resonances(
                               or not 1 <= count <= MOST):
         raise InputError("fit_resonances", "count", count, f"a whole number from 1 to {MOST}")
     check_passive_spectrum(seen, source="fit_resonances")
-    circuit, findings = _with_surroundings(_start(seen, count)), list[str]()
-    while len(listed(circuit)) < (MOST if count is None else count):
-        more = _one_more(circuit, needed=count is not None)
-        if more is None:
-            break
-        close = unresolved(more)
-        if close is not None:
-            findings.append(close)
+    limit, needed, findings = count or MOST, count is not None, tuple[str, ...]()
+    circuit = _with_surroundings(_start(seen, limit))
+    while len(listed(circuit)) < limit and (more := _one_more(circuit, needed=needed)):
+        if findings := unresolved(more):
             break
         circuit = more
-    if count is None:
+    if not needed:
         circuit = _determined(circuit)
-    if count is not None and len(listed(circuit)) < count:
-        raise ValueError(f"{count} resonances requested, {len(listed(circuit))} resolved"
-                         + "".join(f"; {text}" for text in findings))
+    elif len(listed(circuit)) < limit:
+        raise ValueError("; ".join((f"{count} resonances requested, {len(listed(circuit))} resolved", *findings)))
     if not listed(circuit):
         raise _nothing(seen)
-    return circuit.fit(listed(circuit), tuple(findings))
+    return circuit.fit(listed(circuit), findings)
 
 
 def resonances_of(spectrum: Spectrum) -> CircuitFit | None:
@@ -108,17 +103,17 @@ def listed(circuit: BranchCircuit) -> list[int]:
     return [int(k) for k in np.flatnonzero(inside) if k >= len(circuit.beyond)]
 
 
-def unresolved(circuit: BranchCircuit) -> str | None:
-    """The finding on neighbours closer than their mean bandwidth, or None."""
+def unresolved(circuit: BranchCircuit) -> tuple[str, ...]:
+    """The finding on the first neighbours closer than their mean bandwidth."""
     places = listed(circuit)
-    for (at, own), (above, other) in pairwise(sorted(zip(circuit.frequencies[places], circuit.bandwidths[places],
-                                                                strict=True))):
+    ordered = sorted(zip(circuit.frequencies[places], circuit.bandwidths[places], strict=True))
+    for (at, own), (above, other) in pairwise(ordered):
         width = 0.5 * (own + other)
         if above - at < width:
             return (f"about {0.5e-6 * (at + above):.4f} MHz there is more than one resonance within a bandwidth of "
                     f"{1e-3 * width:.3g} kHz, and they are not resolved: f, Q and k_eff there are of all of them "
-                    "together")
-    return None
+                    "together",)
+    return ()
 
 
 def conductance_peaks(spectrum: Spectrum) -> Real:
@@ -148,9 +143,9 @@ def _nothing(spectrum: Spectrum) -> NoResonance:
         impedance=float(spectrum.magnitude[lowest]))
 
 
-def _start(spectrum: Spectrum, count: int | None) -> BranchCircuit:
-    """A plain circuit of the peaks."""
-    peaks = conductance_peaks(spectrum)[: MOST if count is None else count]
+def _start(spectrum: Spectrum, limit: int) -> BranchCircuit:
+    """A plain circuit of at most `limit` peaks."""
+    peaks = conductance_peaks(spectrum)[:limit]
     if not len(peaks):
         raise _nothing(spectrum)
     static = float(np.median(np.abs(spectrum.admittance) / spectrum.frequency)) / (2.0 * np.pi)
