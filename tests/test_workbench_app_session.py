@@ -18,7 +18,7 @@ from geometry.names import CAVITY
 from workbench.app.background import Background
 from workbench.app.controls import controls
 from workbench.app.entry import typed_number, typed_tolerance
-from workbench.app.growth import Wanted, growing_elsewhere
+from workbench.app.growth import growing_elsewhere
 from workbench.app.history import History
 from workbench.app.local import along, local_model, local_ranges
 from workbench.app.panels import figure_cards, picture
@@ -31,7 +31,7 @@ from workbench.cli import main
 from workbench.files.errors import InputError
 from workbench.fitting.parameter import dimension_parameter, material_parameter
 from workbench.model.problem import build, fill
-from workbench.reduced.ranges import OutOfRange, RangeModel
+from workbench.reduced.ranges import OutOfRange, RangeModel, RangeRequest
 from workbench.render.live import LivePicture
 from workbench.results.spectrum import Spectrum
 from workbench.simulation.run import simulate
@@ -235,8 +235,8 @@ def test_outside_the_ranges_a_wider_model_is_made(tmp_path: Path) -> None:
 
 def test_another_process_makes_the_same_model(tmp_path: Path, session: Session) -> None:
     ranges = {each.name: (each.low, each.high) for each in session.controls}
-    wanted = Wanted(session.chip, session.state, ranges, session.registry, session.band, live_chip.POINTS, 1e-2,
-                    live_chip.COARSE)
+    wanted = RangeRequest(session.chip, session.state, ranges, session.registry, session.band, live_chip.POINTS, 1e-2,
+                          live_chip.COARSE)
     growing = growing_elsewhere(wanted)
     models: list[RangeModel] = list(growing)
     assert models[-1].error <= 1e-2
@@ -246,8 +246,8 @@ def test_another_process_makes_the_same_model(tmp_path: Path, session: Session) 
 
 
 def test_a_mistake_in_the_other_process_is_told_here(session: Session) -> None:
-    wanted = Wanted(session.chip, session.state, {"substrate.thicknes": (1e-4, 2e-4)}, session.registry, session.band,
-                    live_chip.POINTS, 1e-2, live_chip.COARSE)
+    wanted = RangeRequest(session.chip, session.state, {"substrate.thicknes": (1e-4, 2e-4)}, session.registry,
+                          session.band, live_chip.POINTS, 1e-2, live_chip.COARSE)
     with pytest.raises(InputError, match=r"substrate\.thickness"):
         list(growing_elsewhere(wanted))
 
@@ -437,7 +437,7 @@ def test_wide_ranges_are_modelled_in_stages(tmp_path: Path) -> None:
     session = live_chip.film_session(tmp_path, [GEL, "transducer.thickness=1.99mm..2.01mm"])
     wanted: list[dict[str, tuple[float, float]]] = []
 
-    def growing(asked: Wanted) -> Iterator[RangeModel]:
+    def growing(asked: RangeRequest) -> Iterator[RangeModel]:
         wanted.append(dict(asked.ranges))
         yield from ()
 

@@ -23,7 +23,7 @@ from workbench.model.problem import FilledChip, fill
 from workbench.reduced.at_point import NotEnriched, reduced
 from workbench.report.figures import figures_record, figures_rows, figures_table
 from workbench.report.resonances import misfit, resonances_record, resonances_table
-from workbench.results.circuit import BranchCircuit, CircuitFit, FittedNumber, Freedom, SolvedCircuit
+from workbench.results.circuit import BranchCircuit, CircuitFit, FittedNumber
 from workbench.results.coupling import Plate, planar_coupling, planar_root, plate_of, thickness_coupling
 from workbench.results.merit import named
 from workbench.simulation import solved_spectrum
@@ -252,9 +252,9 @@ def test_the_background_holds_whatever_is_not_listed() -> None:
     f = np.linspace(0.9e6, 1.1e6, 41)
     branches = np.array([[math.log(1e6), math.log(80.0), math.log(50e-12), 0.0],
                          [math.log(1e6), math.log(1e-12), math.log(10.0), 0.0]])
-    made = BranchCircuit(branches, np.array([math.log(1e-9), 0.0, 0.0]))
-    solved = SolvedCircuit(wb.Spectrum(f, made.impedance(f)), made, Freedom(), np.arange(7), 0.0, np.zeros((11, 11)))
-    found = solved.fit([0])
+    made = BranchCircuit(wb.Spectrum(f, np.ones(41)), branches, np.array([math.log(1e-9), 0.0, 0.0]), squares=0.0,
+                         covariance=np.zeros((11, 11)))
+    found = made.fit([0])
     assert found.static_capacitance.value == pytest.approx(1e-9, rel=1e-9)
     assert found.loss_tangent.value == pytest.approx(1e-2, rel=1e-9)
     (one,) = found.resonances
@@ -267,9 +267,9 @@ def test_a_coupling_that_is_not_determined_is_said_and_is_json() -> None:
     f = np.linspace(0.9e6, 1.1e6, 41)
     branches = np.array([[math.log(1e6), math.log(80.0), math.log(50e-12), 0.0],
                          [math.log(0.8e6), math.log(50.0), math.log(1e-9), 0.0]])
-    made = BranchCircuit(branches, np.array([math.log(1e-12), 0.0, 0.0]))
-    solved = SolvedCircuit(wb.Spectrum(f, made.impedance(f)), made, Freedom(), np.arange(7), 0.0, np.zeros((11, 11)))
-    found = solved.fit([0])
+    made = BranchCircuit(wb.Spectrum(f, np.ones(41)), branches, np.array([math.log(1e-12), 0.0, 0.0]), squares=0.0,
+                         covariance=np.zeros((11, 11)))
+    found = made.fit([0])
     record = resonances_record(found)["resonances"][0]
     assert record["k_effective"] == [None, None]
     assert record["figure_of_merit"] is None

@@ -19,6 +19,7 @@ from workbench.reduced.ranges import (
     NotCovered,
     OutOfRange,
     RangeModel,
+    RangeRequest,
     growing_model,
     load_range_model,
     range_model,
@@ -175,8 +176,8 @@ def test_progress_never_runs_backwards(chip: Chip) -> None:
 
 
 def test_the_models_on_the_way_end_with_the_same_one(chip: Chip, made: RangeModel) -> None:
-    *before, last = growing_model(chip, None, RANGES, registry=Registry(), points=31, relative_error=TOLERANCE,
-                                  accuracy=COARSE)
+    *before, last = growing_model(RangeRequest(chip, None, RANGES, Registry(), points=31, relative_error=TOLERANCE,
+                                               accuracy=COARSE))
     assert before[0].error == np.inf
     assert [model.rank for model in before] == sorted({model.rank for model in before})
     # The same solves at the same points: not a number differs.

@@ -19,7 +19,7 @@ from workbench.model.problem import Problem
 from workbench.reduced.at_point import NotEnriched, reduce
 from workbench.reduced.basis import smallest_part
 from workbench.reduced.estimate import PROJECTIONS, energy_matrix, random_probes
-from workbench.reduced.growth import DEPTH, TrialBasis, grow, sample
+from workbench.reduced.growth import DEPTH, TrialBasis, enriched, sample
 from workbench.reduced.model import ReducedModel
 
 TOLERANCE = 1e-5
@@ -347,7 +347,7 @@ def test_changes_are_taken_by_their_energy_and_no_further_than_needed(
     print(f"energy of what is outside: {energy}")
     smallest = 0.05 * float(energy[0])
     assert smallest > 100.0 * energy[1]
-    found = grow(reduced, [], smallest=smallest, changes=changes)
+    found = reduced.joined([(changes, smallest)])
     assert begins_with(found, reduced)
     assert_consistent(found)
     left = coordinates(found, changes) / coordinates(reduced, changes)
@@ -361,12 +361,13 @@ def test_an_enriched_model_keeps_only_what_the_given_values_need(
 ) -> None:
     values = {**wide.values, "pla.shear_modulus": 0.9 * wide.values["pla.shear_modulus"]}
     system = System(operators, values)
-    trial = TrialBasis.of(reduced, system, GRID).joined([sample(system, float(f), DEPTH) for f in GRID[[10, 70, 130]]])
-    whole = grow(reduced, [trial], smallest=1e-7)
+    samples = [sample(system, float(f), DEPTH) for f in GRID[[10, 70, 130]]]
+    trial = TrialBasis.of(reduced, system, GRID).joined(samples)
+    whole = enriched(trial, samples, smallest=1e-7)
     ranks, errors = [], []
     exact = solve_full(operators, BETWEEN, values).impedance
     for tolerance in (1e-3, 1e-4, 1e-6):
-        found = grow(reduced, [trial], smallest=smallest_part(tolerance))
+        found = enriched(trial, samples, smallest=smallest_part(tolerance))
         assert begins_with(found, reduced)
         assert_consistent(found)
         ranks.append(found.basis.shape[1])
@@ -387,7 +388,7 @@ def test_a_trial_is_the_model_that_all_of_its_candidates_would_make(
     samples = [sample(system, float(f), 4) for f in GRID[[30, 100]]]
     one = TrialBasis.of(reduced, system, BETWEEN).joined(samples)
     two = TrialBasis.of(reduced, system, BETWEEN).joined(samples[:1]).joined(samples[1:])
-    whole = grow(reduced, [one], smallest=1e-9)
+    whole = enriched(one, samples, smallest=1e-9)
     solution = whole.solve(BETWEEN, values)
     for trial in (one, two):
         states, error = trial.states()

@@ -88,14 +88,17 @@ def test_several_are_those_of_one_where_there_is_one() -> None:
 
 def test_the_slopes_of_a_circuit_are_those_of_differences() -> None:
     branches = np.array([[math.log(1e6), math.log(80.0), math.log(3e-11), 0.3], [13.9, 4.0, -24.5, -0.2]])
-    made = BranchCircuit(branches, np.array([math.log(1e-9), 0.02, 3.0]))
-    vector = made.vector()
-    _, slopes = made.with_slopes(FREQUENCY)
+    made = BranchCircuit(circuit(), branches, np.array([math.log(1e-9), 0.02, 3.0]))
+    vector = made.vector
+    _, slopes = made.impedance(FREQUENCY)
+
+    def impedance(moved: NDArray[np.float64]) -> NDArray[np.complex128]:
+        return made.moved(moved[:-3].reshape(2, 4), moved[-3:]).impedance(FREQUENCY)[0]
+
     for k in range(len(vector)):
         step = np.zeros(len(vector))
         step[k] = 1e-6
-        numeric = (made.moved(vector + step).impedance(FREQUENCY)
-                   - made.moved(vector - step).impedance(FREQUENCY)) / 2e-6
+        numeric = (impedance(vector + step) - impedance(vector - step)) / 2e-6
         assert slopes[:, k] == pytest.approx(numeric, rel=1e-5, abs=1e-6 * float(np.max(np.abs(numeric)))), k
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from geometry.chip import read_chip
 from workbench.cli import main
 from workbench.files.writing import write_json
 from workbench.reduced.at_point import NotEnriched, reduced
-from workbench.results.circuit import BranchCircuit, Freedom, SolvedCircuit
+from workbench.results.circuit import BranchCircuit
 from workbench.results.resonances import listed
 from workbench.results.spectrum import Origin, Spectrum
 from workbench.simulation import run as simulation
@@ -73,9 +71,7 @@ def test_a_resistor_in_parallel_and_a_branch_beyond_the_band_are_no_resonances()
     # f, Q: a resonance, a resistor with a huge capacitance, a branch above the band, one of infinite frequency.
     branches = np.array([[math.log(f), math.log(q), math.log(50e-12), 0.0] for f, q in (
         (1e6, 80.0), (1.0429e6, 2e-12), (5.2e6, 50.0), (1e300, 50.0))])
-    circuit = BranchCircuit(branches, np.array([math.log(1e-9), 0.0, 0.0]))
-    found = SimpleNamespace(circuit=circuit, spectrum=spectrum, freedom=Freedom())
-    assert listed(cast(SolvedCircuit, found)) == [0]
+    assert listed(BranchCircuit(spectrum, branches, np.array([math.log(1e-9), 0.0, 0.0]))) == [0]
 
 
 def test_a_number_that_json_has_not_is_named(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ from workbench.model.problem import build, fill  # noqa: E402
 from workbench.reduced.about_point import local_basis  # noqa: E402
 from workbench.reduced.at_point import reduce  # noqa: E402
 from workbench.reduced.model import ReducedModel  # noqa: E402
-from workbench.reduced.ranges import growing_model  # noqa: E402
+from workbench.reduced.ranges import RangeRequest, growing_model  # noqa: E402
 
 Real = NDArray[np.float64]
 Values = dict[str, complex]
@@ -63,7 +63,7 @@ def cases(chip: Chip, arguments: argparse.Namespace) -> Iterator[tuple[str, Redu
         yield "about a point, moved", model, [drawn(values, names, reach, random) for reach in (0.003, 0.01, 0.03)]
     known = {name: each.value for name, each in chip.dimensions().items()}
     ranges = {name: (0.95 * known[name], 1.05 * known[name]) for name in ("substrate.thickness", "sidewall.thickness")}
-    for found in growing_model(chip, "filled", ranges, points=61, relative_error=3e-3, accuracy=ACCURACY):
+    for found in growing_model(RangeRequest(chip, "filled", ranges, points=61, relative_error=3e-3, accuracy=ACCURACY)):
         there = [placed(found.problem.values, {name: float(random.uniform(*ends)) for name, ends in ranges.items()})
                  for _ in range(3)]
         yield "over ranges", found.reduced, there

@@ -4,50 +4,20 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from geometry.chip import Chip
-from materials.registry import Registry
 from workbench.fem.operators import assemble
 from workbench.jobs.process import Send, stream
-from workbench.model.discretisation import Discretisation
 from workbench.model.problem import build, fill
-from workbench.reduced.ranges import LIMIT, NotCovered, RangeModel, Ranges, fingerprint, growing_model, with_ranges
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """The input of a model: see `workbench.reduced.ranges.range_model`."""
-
-    chip: Chip
-    state: str
-    ranges: Ranges
-    registry: Registry
-    band: tuple[float, float]
-    points: int
-    tolerance: float
-    accuracy: float | Discretisation
-    limit: int = LIMIT
-
+from workbench.reduced.ranges import NotCovered, RangeModel, RangeRequest, fingerprint, growing_model, with_ranges
 
 #: A generator of growing models; closing it ends the work.
-Growing = Callable[[Wanted], Generator[RangeModel, None, None]]
+Growing = Callable[[RangeRequest], Generator[RangeModel, None, None]]
 
 
-def growing_here(wanted: Wanted) -> Generator[RangeModel, None, None]:
-    """Growing models, each computed on request.
-
-    Raises:
-        InputError, NotCovered: as in `workbench.reduced.ranges.growing_model`.
-    """
-    yield from growing_model(
-        wanted.chip, wanted.state, wanted.ranges, registry=wanted.registry, band=wanted.band, points=wanted.points,
-        relative_error=wanted.tolerance, limit=wanted.limit, accuracy=wanted.accuracy)
-
-
-def growing_elsewhere(wanted: Wanted) -> Generator[RangeModel, None, None]:
+def growing_elsewhere(request: RangeRequest) -> Generator[RangeModel, None, None]:
     """Growing models from another process, which ends with this iterator.
 
     The models cannot grow here. They have the compact form for answers: the constant parts summed up, a tenth of the
@@ -57,20 +27,21 @@ def growing_elsewhere(wanted: Wanted) -> Generator[RangeModel, None, None]:
         InputError, NotCovered: as in `workbench.reduced.ranges.growing_model`.
         WorkerEnded: the process ended by itself.
     """
-    plain = build(fill(wanted.chip, wanted.state, wanted.registry), band=wanted.band, accuracy=wanted.accuracy)
-    problem, _ = with_ranges(plain, wanted.chip, wanted.ranges)
+    plain = build(fill(request.chip, request.state, request.registry), band=request.band or request.chip.band,
+                  accuracy=request.accuracy)
+    problem, _ = with_ranges(plain, request.chip, request.ranges)
     operators, known = assemble(problem.mesh, problem.terms), fingerprint(problem)
-    with contextlib.closing(stream(partial(_grow, wanted=wanted))) as models:
+    with contextlib.closing(stream(partial(_grow, request=request))) as models:
         for model, of in models:
             if of != known:
                 raise RuntimeError("the process that makes the model has another mesh of the chip")
             yield replace(model, problem=problem, reduced=replace(model.reduced, full=operators))
 
 
-def _grow(send: Send, *, wanted: Wanted) -> None:
+def _grow(send: Send, *, request: RangeRequest) -> None:
     """Send every model with the fingerprint of its problem."""
     try:
-        for model in growing_here(wanted):
+        for model in growing_model(request):
             send((_sendable(model), fingerprint(model.problem)))
     except NotCovered as reached:
         raise NotCovered(_sendable(reached.model)) from None

@@ -27,7 +27,7 @@ from geometry.names import TRANSDUCER
 from geometry.stretch import admissible_range, moving_together
 from materials.registry import Registry
 from workbench.app.controls import RELATIVE_REACH, Control, controls, is_inside, wraps
-from workbench.app.growth import Growing, Wanted, growing_here
+from workbench.app.growth import Growing
 from workbench.app.history import History
 from workbench.app.local import SMALL_RANK, LocalModel, along, in_halves, local_model, local_ranges
 from workbench.app.operating import EnergyPeaks
@@ -40,7 +40,15 @@ from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.drive import Drive, wired
 from workbench.model.numbers import Stated, placed
 from workbench.model.problem import build, fill
-from workbench.reduced.ranges import LIMIT, NotCovered, OutOfRange, RangeModel, Ranges
+from workbench.reduced.ranges import (
+    LIMIT,
+    NotCovered,
+    OutOfRange,
+    RangeModel,
+    RangeRequest,
+    Ranges,
+    growing_model,
+)
 from workbench.results.spectrum import Spectrum
 
 #: Number of frequencies of the band in an answered spectrum; twice as many take twice as long.
@@ -102,7 +110,7 @@ class Session:
         drive: Drive | None = None,
         recording: Spectrum | None = None,
         recording_name: str = "recording",
-        growing: Growing = growing_here,
+        growing: Growing = growing_model,
     ) -> None:
         """Prepare a session of `chip` in `state`, by default its last one.
 
@@ -364,9 +372,8 @@ class Session:
     def _grown(self, ranges: Ranges, stopped: Callable[[], bool], limit: int) -> Iterator[str]:
         """Make models of `ranges` from at most `limit` full solves. It yields descriptions, and ends once values are
         outside."""
-        wanted = Wanted(self.chip, self.state, ranges, self.registry, self.band, self._points, self._tolerance,
-                        self.accuracy, limit)
-        models = self._growing(wanted)
+        models = self._growing(RangeRequest(self.chip, self.state, ranges, self.registry, self.band, self._points,
+                                            self._tolerance, self.accuracy, limit))
         try:
             for model in models:
                 self._take(model)

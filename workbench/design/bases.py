@@ -15,11 +15,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from geometry.plausible import as_text
 from workbench.acoustics.sound_energy import SoundEnergy, sound_energy
@@ -32,13 +32,13 @@ from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import Solution, one_thread
 from workbench.files.errors import InputError
 from workbench.jobs.progress import Progress, no_progress
-from workbench.model.numbers import ParameterName, placed
+from workbench.model.numbers import ParameterName
 from workbench.model.problem import Problem
 from workbench.physics.term import Values
 from workbench.reduced.basis import smallest_part
 from workbench.reduced.compact import compacted, gathered
 from workbench.reduced.model import ReducedModel, sketched_error
-from workbench.reduced.ranges import RangeModel, Ranges, range_keys
+from workbench.reduced.ranges import RangeModel, Ranges, points_within, range_keys
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -179,35 +179,36 @@ def bases_of(
         NotConfirmed: full solves find larger errors after all rounds.
     """
     names, moving = tuple(ParameterName.parse(name).key for name in made.ranges), range_keys(made.ranges)
-    whole, own = sound_energy(made.reduced.full), made.problem.values
+    full, own = made.reduced.full, made.problem.values
+    whole = sound_energy(full)
 
     def sound_of(model: ReducedModel) -> SoundEnergy | None:
         return None if whole is None else whole.on(model.basis, moving, own)
 
-    sampler, energy = qmc.Sobol(len(names), seed=seed), sound_of(made.compact)
-    low, high = (np.array(ends) for ends in zip(*made.ranges.values(), strict=True))
-    moves = REACH * (high - low)
+    points, energy = points_within(made.ranges, own, seed), sound_of(made.compact)
+    moves = REACH * np.array([high - low for low, high in made.ranges.values()])
 
     def drawn(count: int) -> list[_Sample]:
-        points = low + (high - low) * np.array([sampler.random(1)[0] for _ in range(count)])
-        return list(pool.map(lambda point: _sampled(made, point, responses, stated, energy), points))
+        return list(pool.map(lambda values: _sampled(made, values, responses, stated, energy), islice(points, count)))
+
+    def solved(samples: Sequence[_Sample]) -> list[tuple[_Sample, LinearisedState]]:
+        every = [(each, at) for each in samples for at in each.driven]
+        return list(pool.map(lambda one: (one[0], FullSystem(full, one[0].values).linearised(one[1], names)), every))
 
     with one_thread(), ThreadPoolExecutor(max_workers=2) as pool:
         rough = drawn(max(FEWEST, SWEPT * len(names)) + CHECKED)
         sweeping = _sweeping(made.compact, rough[CHECKED:], rough[:CHECKED], sound_of)
         width = min(each.width for each in rough)
-        first = [(each, at) for each in rough[: max(LEAST, TAKEN * len(names))] for at in each.driven]
-        columns = list(pool.map(lambda each: _columns(made, each[0], each[1], names, moves, width), first))
+        known = solved(rough[: max(LEAST, TAKEN * len(names))])
         for turn in range(ROUNDS):
-            operating = made.reduced.spanning(np.concatenate(columns, axis=1), smallest_part(tolerance))
-            checked = [(each, at) for each in drawn(CHECKED) for at in each.driven]
-            fulls = list(pool.map(lambda each: FullSystem(made.reduced.full, each[0].values).linearised(each[1]),
-                                  checked))
-            error, pressure_error = _errors(operating, cavity, whole, [each for each, _ in checked], fulls)
+            columns = np.concatenate([_columns(each, moves, width) for _, each in known], axis=1)
+            operating = made.reduced.spanning(columns, smallest_part(tolerance))
+            checked = solved(drawn(CHECKED))
+            error, pressure_error = _errors(operating, cavity, whole, checked)
             progress("figures", (turn + 1.0) / ROUNDS)
             if error <= tolerance and pressure_error <= OF_PRESSURE * tolerance:
                 break
-            columns += pool.map(lambda each: _columns(made, each[0], each[1], names, moves, width), checked)
+            known = [*known, *checked]
         else:
             raise NotConfirmed(error, pressure_error, tolerance)
     band = made.frequency[-1] - made.frequency[0]
@@ -219,11 +220,10 @@ def bases_of(
 
 
 def _sampled(
-    made: RangeModel, point: Real, responses: Sequence[ResonantQuantity], stated: float | None,
+    made: RangeModel, values: Values, responses: Sequence[ResonantQuantity], stated: float | None,
     sound: SoundEnergy | None,
 ) -> _Sample:
-    """The rough spectrum at a point (k,) of the ranges."""
-    values = placed(made.problem.values, dict(zip(made.ranges, map(float, point), strict=True)))
+    """The rough spectrum at some `values` within the ranges."""
     system = ReducedSystem(made.compact.operators, values)
     sweep, model = system.sweep(made.frequency), Responding(system, values, sound)
     # The impedance's resonance counts even if no resonance is followed.
@@ -246,17 +246,14 @@ def _width(frequency: Real, level: Real, lowest: int) -> float:
     return float(frequency[above[0] if above.size else -1] - frequency[below[-1] if below.size else 0])
 
 
-def _columns(
-    made: RangeModel, sample: _Sample, driven: float, names: tuple[str, ...], moves: Real, width: float
-) -> Complex:
-    """The full state at a point and its changes, columns (size, n).
+def _columns(full: LinearisedState, moves: Real, width: float) -> Complex:
+    """A full state and its changes, columns (size, n).
 
     The changes are by the half-power `width` in frequency and by `moves` in the parameters, to first order. All columns
     are divided by the root of the charge.
     """
-    found = FullSystem(made.reduced.full, sample.values).linearised(driven, names)
-    moved = np.column_stack([width * found.by_frequency, found.by_parameter * moves])
-    return np.column_stack([found.state, moved]) / np.sqrt(abs(found.charge))
+    changes = np.column_stack([width * full.by_frequency, full.by_parameter * moves])
+    return np.column_stack([full.state, changes]) / np.sqrt(abs(full.charge))
 
 
 def _sweeping(
@@ -295,8 +292,8 @@ def _off(model: ReducedModel, checked: Sequence[_Sample], sound: SoundEnergy | N
 
 
 def _errors(
-    operating: ReducedModel, cavity: Cavity | None, whole: SoundEnergy | None, samples: Sequence[_Sample],
-    fulls: Sequence[LinearisedState],
+    operating: ReducedModel, cavity: Cavity | None, whole: SoundEnergy | None,
+    checked: Sequence[tuple[_Sample, LinearisedState]],
 ) -> tuple[float, float]:
     """The largest relative errors of Z and pressure against full states.
 
@@ -305,7 +302,7 @@ def _errors(
     rows = None if cavity is None else cavity.pressure_rows(operating.basis)
     energy = None if whole is None else whole.on(operating.basis)
     errors, pressures = [0.0], [0.0]
-    for sample, full in zip(samples, fulls, strict=True):
+    for sample, full in checked:
         small = ReducedSystem(operating.operators, sample.values).linearised(full.frequency)
         errors.append(abs(small.charge / full.charge - 1.0))
         if cavity is not None and rows is not None:

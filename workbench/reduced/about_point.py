@@ -18,7 +18,7 @@ from workbench.fem.solve import System, one_thread
 from workbench.physics.term import Values
 from workbench.reduced.basis import smallest_part
 from workbench.reduced.estimate import SLACK
-from workbench.reduced.growth import Sample, TrialBasis, grow, sample, watched
+from workbench.reduced.growth import Sample, TrialBasis, enriched, sample, watched
 from workbench.reduced.model import ReducedModel, lifted
 
 Real = NDArray[np.float64]
@@ -129,10 +129,8 @@ def local_basis(
             worst, enough = int(np.argmax(error)), SLACK * tolerance
             wanted = looked_at[[worst]] if error[worst] > enough and len(samples) < MOST_NODES else np.zeros(0)
         assert trial is not None
-        model = grow(trial.model, [trial], smallest=smallest_part(tolerance),
-                     changes=np.column_stack([each.changes for each in samples]))
-    return LocalBasis(model.counted(*(each.residual for each in samples)), values,
-                      tuple(each.alone for each in samples))
+        model = enriched(trial, samples, smallest=smallest_part(tolerance))
+    return LocalBasis(model, values, tuple(each.alone for each in samples))
 
 
 def _is_along(one: Complex, other: Complex) -> bool:

@@ -6,7 +6,7 @@ Full solves are added where the error estimate is largest. `workbench.reduced.es
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from workbench.fem.solve import NotConverged, Solution, System, one_thread
 from workbench.jobs.progress import Progress, no_progress
 from workbench.physics.term import Values
 from workbench.reduced.basis import smallest_part
-from workbench.reduced.growth import DEPTH, NO_TANGENTS, TIGHTER, Sample, TrialBasis, grow, sample, watched
+from workbench.reduced.growth import DEPTH, NO_TANGENTS, TIGHTER, Sample, TrialBasis, enriched, sample, watched
 from workbench.reduced.model import ReducedModel, lifted
 
 Real = NDArray[np.float64]
@@ -89,7 +89,6 @@ def reduced(
         NotConverged: a full solve failed, or an unknown has no energy.
     """
     frequencies, wanted = np.asarray(frequencies, dtype=float), np.zeros(0) if worst is None else np.array([worst])
-    looked_at = watched(frequencies)
     if start is None:
         wanted = frequencies[chebyshev(frequencies.size, first)[: max(limit - 1, 1)]]
     model, spent, smallest, tried = start, 0, smallest_part(tolerance), set[float]()
@@ -109,13 +108,14 @@ def reduced(
                     tried.add(frequency)
                     spent += 1
                     report()
-                looked_at = watched(frequencies)
-                model = _enriched(model, system, samples, frequencies, smallest, tolerance)
+                model = lifted(system, frequencies, samples[0].state) if model is None else model
+                trial = TrialBasis.of(model, system, watched(frequencies)).joined(samples)
+                model = enriched(trial, samples, smallest=smallest, tolerance=tolerance)
                 # If the new directions were not enough, the previous truncation may have been too coarse.
                 smallest *= TIGHTER
             assert model is not None
-            solution, estimate, index = _worst(model, looked_at, values, tolerance, tried)
-            if estimate <= tolerance and looked_at.size < frequencies.size:
+            solution, estimate, index = _worst(model, watched(frequencies), values, tolerance, tried)
+            if estimate <= tolerance and solution.frequency.size < frequencies.size:
                 # All frequencies are checked once the watched ones are within the tolerance.
                 solution, estimate, index = _worst(model, frequencies, values, tolerance, tried)
             worst, believed = float(solution.frequency[index]), estimate <= tolerance
@@ -131,7 +131,6 @@ def reduced(
                     break
                 if skip_singular and (worst in tried or np.isinf(off)):
                     frequencies, wanted = frequencies[frequencies != worst], np.zeros(0)
-                    looked_at = watched(frequencies)
                     continue
             wanted = np.array([worst])
     return model, solution
@@ -150,19 +149,6 @@ def _worst(
             estimate[k] = model.worst(frequencies[[k]], values)[1]
     index = int(np.argmax(estimate))
     return solution, float(estimate[index]), index
-
-
-def _enriched(
-    start: ReducedModel | None, system: System, samples: Sequence[Sample], frequencies: Real, smallest: float,
-    tolerance: float,
-) -> ReducedModel:
-    """The model enriched by samples of one system; see :func:`grow`. Without `start` it is the first model for
-    `frequencies` (Hz)."""
-    model = lifted(system, frequencies, samples[0].state) if start is None else start
-    trial = TrialBasis.of(model, system, watched(frequencies)).joined(samples)
-    changes = np.column_stack([each.changes for each in samples])
-    return grow(model, [trial], smallest=smallest, tolerance=tolerance, changes=changes).counted(
-        *(each.residual for each in samples))
 
 
 def _confirmed(

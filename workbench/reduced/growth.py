@@ -193,16 +193,14 @@ def _projected_image(left: Real, matrix: SplitMatrix, columns: Real) -> Complex:
     return found
 
 
-def grow(
-    model: ReducedModel, trials: Sequence[TrialBasis], *, smallest: float, tolerance: float = np.inf,
-    changes: Complex | None = None,
+def enriched(
+    trial: TrialBasis, samples: Sequence[Sample], *, smallest: float, tolerance: float = np.inf
 ) -> ReducedModel:
-    """`model` enriched by the needed candidates of `trials`, then by `changes`.
+    """The model enriched by a trial and by the changes of `samples`.
 
-    `changes` are (size, k). Directions of size below `smallest`, in the root of the energy over the charge, are
-    omitted; `tolerance` is as in :meth:`TrialBasis.needed`.
+    It adds the needed candidates of the trial. Directions of size below `smallest`, in the root of the energy over
+    the charge, are omitted; `tolerance` is as in :meth:`TrialBasis.needed`.
     """
-    candidates: list[tuple[NDArray[np.inexact], float]] = [trial.needed(smallest, tolerance) for trial in trials]
-    if changes is not None and changes.size:
-        candidates.append((changes, smallest))
-    return model.joined(candidates)
+    changes = np.column_stack([each.changes for each in samples])
+    return trial.model.joined([trial.needed(smallest, tolerance), (changes, smallest)]).counted(
+        *(each.residual for each in samples))

@@ -18,12 +18,13 @@ import hashlib
 import os
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -243,24 +244,28 @@ def range_model(
         InputError: an error in the chip or its materials, an unknown name, or an empty range.
         NotCovered: `limit` solves were not enough; the error has the model.
     """
-    model = _first(chip, state, ranges, registry, band, points, relative_error, accuracy)
-    return _last(_growth(model, relative_error, limit, seed, progress))
+    request = RangeRequest(chip, state, ranges, registry, band, points, relative_error, accuracy, limit, seed)
+    return _last(growing_model(request, progress))
 
 
-def growing_model(
-    chip: Chip,
-    state: str | None,
-    ranges: Ranges,
-    *,
-    registry: Registry | None = None,
-    band: tuple[float, float] | None = None,
-    points: int = 241,
-    relative_error: float = 1e-3,
-    limit: int = LIMIT,
-    seed: int = 0,
-    accuracy: float | Discretisation = ACCURACY,
-) -> Iterator[RangeModel]:
-    """:func:`range_model` with all intermediate models.
+@dataclass(frozen=True)
+class RangeRequest:
+    """The input of a range model, as in :func:`range_model`."""
+
+    chip: Chip
+    state: str | None
+    ranges: Ranges
+    registry: Registry | None = None
+    band: tuple[float, float] | None = None
+    points: int = 241
+    relative_error: float = 1e-3
+    accuracy: float | Discretisation = ACCURACY
+    limit: int = LIMIT
+    seed: int = 0
+
+
+def growing_model(request: RangeRequest, progress: Progress = no_progress) -> Generator[RangeModel, None, None]:
+    """:func:`range_model` with all intermediate models, each computed on request.
 
     The first is that of the middle of the ranges; its ``error`` is infinite, since no full solve has checked it. Each
     later model has the error of the model before it.
@@ -268,29 +273,22 @@ def growing_model(
     Raises:
         InputError, NotCovered: as in :func:`range_model`.
     """
-    model = _first(chip, state, ranges, registry, band, points, relative_error, accuracy)
-    yield model
-    yield from _growth(model, relative_error, limit, seed, no_progress)
-
-
-def _first(
-    chip: Chip, state: str | None, ranges: Ranges, registry: Registry | None, band: tuple[float, float] | None,
-    points: int, tolerance: float, accuracy: float | Discretisation,
-) -> RangeModel:
-    """The first model: the middle of the ranges and its first derivatives."""
     started = time.perf_counter()
-    low, high = chip.band if band is None else band
-    plain = build(fill(chip, state, registry), band=(low, high), accuracy=accuracy)
-    problem, ranges = with_ranges(plain, chip, ranges)
-    frequency = np.linspace(low, high, points)
+    low, high = request.band or request.chip.band
+    plain = build(fill(request.chip, request.state, request.registry), band=(low, high), accuracy=request.accuracy)
+    problem, ranges = with_ranges(plain, request.chip, request.ranges)
+    frequency = np.linspace(low, high, request.points)
     centre = placed(problem.values, {key: 0.5 * sum(ends) for key, ends in ranges.items()})
     moves: dict[str, float] = {}
     for number, (lowest, highest) in ranges.items():
         key = ParameterName.parse(number).key
         moves[key] = max(moves.get(key, 0.0), 0.5 * (highest - lowest))
-    operators = assemble(problem.mesh, problem.terms)
-    first = local_basis(operators, frequency, centre, moves, tolerance=TRUNCATED_TO * tolerance, nodes=FIRST).model
-    return RangeModel(problem, ranges, frequency, first, tolerance, np.inf, time.perf_counter() - started)
+    first = local_basis(assemble(problem.mesh, problem.terms), frequency, centre, moves,
+                        tolerance=TRUNCATED_TO * request.relative_error, nodes=FIRST).model
+    model = RangeModel(problem, ranges, frequency, first, request.relative_error, np.inf,
+                       time.perf_counter() - started)
+    yield model
+    yield from _growth(model, request.relative_error, request.limit, request.seed, progress)
 
 
 def numbers_in_ranges(ranges: Ranges, own: Mapping[str, complex], values: Mapping[str, float]) -> dict[str, float]:
@@ -354,24 +352,19 @@ def _growth(
     model: RangeModel, tolerance: float, limit: int, seed: int, progress: Progress
 ) -> Iterator[RangeModel]:
     """The successive models from `model`, the last within `tolerance`."""
-    started = time.perf_counter()
-    operators, reduced, ranges = model.reduced.full, model.reduced, model.ranges
-    low, high = (np.array(ends) for ends in zip(*ranges.values(), strict=True))
-    sampler = qmc.Sobol(len(ranges), seed=seed)
+    started, operators, reduced = time.perf_counter(), model.reduced.full, model.reduced
+    drawn = points_within(model.ranges, model.problem.values, seed)
     watched = np.linspace(model.frequency[0], model.frequency[-1], WATCHED)
     spent, error, first, share, smallest = 0, np.inf, 0.0, 0.0, smallest_part(TRUNCATED_TO * tolerance)
-    moving = range_keys(ranges)
     with one_thread(), ThreadPoolExecutor(max_workers=max(1, min(2, os.cpu_count() or 1))) as pool:
         while True:
-            points = low + (high - low) * sampler.random(LOOKED_AT)
-            values = [placed(model.problem.values, dict(zip(ranges, map(float, x), strict=True))) for x in points]
-            compact = compacted(reduced, moving, model.problem.values)
-            seen = list(pool.map(partial(_worst, compact, watched), values))
-            chosen = sorted(range(len(values)), key=lambda k: -seen[k][0])[:SOLVED]
-            jobs = [(values[k], float(watched[seen[k][1]])) for k in chosen]
-            solved = list(pool.map(lambda job: sample(System(operators, job[0]), job[1], ENRICHING_DEPTH), jobs))
+            compact = compacted(reduced, range_keys(model.ranges), model.problem.values)
+            looked = pool.map(partial(_worst, compact, watched), islice(drawn, LOOKED_AT))
+            chosen = sorted(looked, key=lambda each: -each.estimate)[:SOLVED]
+            solved = list(pool.map(
+                lambda each: sample(System(operators, each.values), each.frequency, ENRICHING_DEPTH), chosen))
             spent += len(solved)
-            error = max(abs(seen[k][2] / each.charge - 1.0) for k, each in zip(chosen, solved, strict=True))
+            error = max(abs(one.charge / full.charge - 1.0) for one, full in zip(chosen, solved, strict=True))
             first = first or error
             reduced = reduced.counted(*(each.residual for each in solved))
             if first > tolerance:
@@ -386,14 +379,22 @@ def _growth(
                 return
             if spent >= limit:
                 raise NotCovered(done)
-            states = np.column_stack([each.states for each in solved])
-            enriched = reduced
+            states, enriched = np.column_stack([each.states for each in solved]), reduced
             while enriched is reduced:
-                enriched = _enriched(reduced, states, watched, [value for value, _ in jobs], smallest, pool)
+                enriched = _enriched(reduced, states, watched, [each.values for each in chosen], smallest, pool)
                 # If no candidate is needed although the samples disagree, the truncation was too coarse.
                 smallest *= TIGHTER if enriched is reduced else 1.0
             reduced = enriched
             yield replace(done, reduced=reduced)
+
+
+def points_within(ranges: Ranges, own: Mapping[str, complex], seed: int) -> Iterator[dict[str, complex]]:
+    """Values at points spread over the ranges, without end. The rest are the `own` values of a problem."""
+    low, high = (np.array(ends) for ends in zip(*ranges.values(), strict=True))
+    sampler = qmc.Sobol(len(ranges), seed=seed)
+    while True:
+        point = low + (high - low) * sampler.random(1)[0]
+        yield placed(own, dict(zip(ranges, map(float, point), strict=True)))
 
 
 def _enriched(
@@ -411,10 +412,18 @@ def _enriched(
     return wide.restricted(part, np.append(model.sizes, sizes)) if sizes.size else model
 
 
-def _worst(model: ReducedModel, frequencies: Real, values: Mapping[str, complex]) -> tuple[float, int, complex]:
-    """Largest estimated error of a model, frequency index, and charge there."""
-    solution, error, index = model.worst(frequencies, values)
-    return error, index, complex(solution.charge[index])
+class _Worst(NamedTuple):
+    """The largest error ``estimate`` of a model at ``values``. ``frequency`` (Hz) and ``charge`` are those there."""
+
+    estimate: float
+    frequency: float
+    charge: complex
+    values: Values
+
+
+def _worst(model: ReducedModel, frequencies: Real, values: Values) -> _Worst:
+    solution, estimate, index = model.worst(frequencies, values)
+    return _Worst(estimate, float(frequencies[index]), complex(solution.charge[index]), values)
 
 
 def fingerprint(problem: Problem) -> str:

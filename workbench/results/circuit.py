@@ -13,11 +13,9 @@ loss tangent of the static capacitance. :func:`fit_circuit` fits one branch,
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +24,7 @@ from scipy.optimize import least_squares, nnls
 from workbench.files.errors import InputError
 from workbench.results.band import fitted_points, frequency_within
 from workbench.results.brief import Brief
-from workbench.results.merit import Figures, figures
+from workbench.results.merit import figures
 from workbench.results.spectrum import Spectrum, WithSpectrum, turns_anticlockwise
 
 Real = NDArray[np.float64]
@@ -34,6 +32,10 @@ Complex = NDArray[np.complex128]
 
 #: Parameters of a branch in a vector: ln f, ln Q, ln C, phase.
 OF_BRANCH = 4
+
+#: The logarithms of f, Q, R, L and C of a branch as sums of its parameters, and their multiples of ln(2 pi).
+POWERS = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [-1, -1, -1, 0], [-2, 0, -1, 0], [0, 0, 1, 0]])
+TURNS = np.array([0.0, 0.0, -1.0, -2.0, 0.0])
 
 #: Largest negative Re Z relative to |Z|, for the zero offset of an instrument. Doubled, a device that returns 4 % of
 #: its apparent power counts as passive.
@@ -148,32 +150,22 @@ def fit_circuit(
     at = None if near is None else frequency_within(near, seen, source="fit_circuit")
     check_passive_spectrum(seen, source="fit_circuit")
     start = figures(seen, near=at)
-    capacitance = _static_capacitance(seen, start)
-    # R1 is the smallest |Z|, so C1 = 1 / (w R1 Q).
-    motional = 1.0 / (2.0 * math.pi * start.f0 * start.z_min * start.q)
-    circuit = BranchCircuit(np.array([[math.log(start.f0), math.log(start.q), math.log(motional), 0.0]]),
-                      np.array([math.log(capacitance), 0.0, 0.0]))
-    found = solved(seen, circuit, Freedom(series_resistance=series_resistance)).fit()
-    return replace(found, findings=_unexplained(found))
-
-
-def _unexplained(found: CircuitFit) -> tuple[str, ...]:
-    stated = found.reduced_chi_square
-    if found.rms_residual <= LARGE_RESIDUAL or (stated is not None and stated <= LARGE_CHI_SQUARE):
-        return ()
-    residual, limit = 100.0 * found.rms_residual, 100.0 * LARGE_RESIDUAL
-    return (f"the circuit has a residual of {residual:.3g} % of Z (rms), more than {limit:g} %, so its values mean "
-            "little: several resonances in the band (fit_resonances fits them together; or a narrower band), a "
-            'reactance of reversed sign (read it with correction="conjugate"), or noise',)
-
-
-def _static_capacitance(spectrum: Spectrum, start: Figures) -> float:
-    found = start.antiresonance.circuit_capacitance if start.antiresonance else math.nan
-    if found > 0.0:
-        return found
-    # No antiresonance in the band, or overtones spoil the estimate: use the susceptance at the upper end.
-    susceptance = max(float(spectrum.admittance.imag[-1]), 0.1 / (start.z_min * start.q))
-    return susceptance / (2.0 * math.pi * float(spectrum.frequency[-1]))
+    # R1 is the smallest |Z|, so C1 = 1 / (w R1 Q). C0 is that of the antiresonance, or of the upper end of the band if
+    # it has none or overtones spoil it.
+    conductance = 1.0 / (start.z_min * start.q)
+    static = start.antiresonance.circuit_capacitance if start.antiresonance else math.nan
+    if not static > 0.0:
+        static = max(float(seen.admittance.imag[-1]), 0.1 * conductance) / (2.0 * math.pi * float(seen.frequency[-1]))
+    branch = [math.log(start.f0), math.log(start.q), math.log(conductance / (2.0 * math.pi * start.f0)), 0.0]
+    fit = BranchCircuit(seen, np.array([branch]), np.array([math.log(static), 0.0, 0.0]),
+                        has_resistance=series_resistance).solved().fit([0])
+    if fit.rms_residual <= LARGE_RESIDUAL or (fit.reduced_chi_square or math.inf) <= LARGE_CHI_SQUARE:
+        return fit
+    residual, limit = 100.0 * fit.rms_residual, 100.0 * LARGE_RESIDUAL
+    return replace(fit, findings=(
+        f"the circuit has a residual of {residual:.3g} % of Z (rms), more than {limit:g} %, so its values mean "
+        "little: several resonances in the band (fit_resonances fits them together; or a narrower band), a "
+        'reactance of reversed sign (read it with correction="conjugate"), or noise',))
 
 
 def bvd_impedance(
@@ -217,291 +209,242 @@ def check_passive_spectrum(spectrum: Spectrum, *, source: str) -> None:
             'read it with correction="conjugate"')
 
 
-# --------------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Freedom:
-    """The free parameters besides f, Q and C of branches and C0. ``losses`` are phases and the loss tangent.
-    ``confined`` has ranges of frequency (low, high) in Hz for some branches, by index."""
-
-    losses: bool = False
-    series_resistance: bool = False
-    confined: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-
-
 @dataclass(frozen=True, eq=False)
 class BranchCircuit:
-    """The parameters of a circuit. ``branches`` (k, 4) are ln f, ln Q, ln C and phase; ``rest`` (3,) is ln C0, t and
-    Rs."""
+    """The circuit of a spectrum, with free and fixed parameters.
 
+    ``branches`` (k, 4) are ln f, ln Q, ln C and phase; ``rest`` (3,) is ln C0, t and Rs. Phases and t are free with
+    ``has_losses``, Rs with ``has_resistance``. The first branches lie beyond the band, f (Hz) within the ends
+    ``beyond``. The sum of weighted ``squares`` is infinite unless it is :meth:`solved`; ``covariance`` (p, p) is that
+    of all parameters.
+    """
+
+    spectrum: Spectrum
     branches: Real
     rest: Real
+    has_losses: bool = False
+    has_resistance: bool = False
+    beyond: tuple[tuple[float, float], ...] = ()
+    squares: float = math.inf
+    covariance: Real = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def vector(self) -> Real:
+        """All parameters (p,), those of `branches` first."""
+        return np.concatenate([self.branches.ravel(), self.rest])
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """Whether each parameter (p,) is free."""
+        branch = [True, True, True, self.has_losses]
+        return np.array([*branch * len(self.branches), True, self.has_losses, self.has_resistance])
 
     @property
     def frequencies(self) -> Real:
         """Series resonances (k,) Hz."""
-        return np.exp(np.clip(self.branches[:, 0], -LARGEST, LARGEST))
+        return _exponential(self.branches[:, 0])
 
     @property
     def bandwidths(self) -> Real:
         """f / Q (k,) Hz."""
-        return np.exp(np.clip(self.branches[:, 0] - self.branches[:, 1], -LARGEST, LARGEST))
+        return _exponential(self.branches[:, 0] - self.branches[:, 1])
 
-    def with_branch(self, frequency: float, bandwidth: float) -> BranchCircuit:
-        """The circuit with one more branch (Hz), whose capacitance is tiny."""
-        new = [math.log(frequency), math.log(frequency / bandwidth), float(self.rest[0]) - 20.0, 0.0]
-        return replace(self, branches=np.vstack([self.branches, new]))
-
-    def with_amplitudes(self, spectrum: Spectrum, *, losses: bool) -> BranchCircuit:
-        """The circuit whose capacitances minimise the relative error of Y.
-
-        With `losses`, the phases are found too. Both enter Y linearly. Without losses no capacitance is below zero, and
-        one whose best value is zero does not change.
-        """
-        frequency = spectrum.frequency
-        columns = [np.ones(len(frequency), dtype=complex)]
-        for at, sharpness, _, _ in self.branches:
-            u = frequency * math.exp(-_within(at))
-            columns.append(1.0 / (1.0 - u**2 + 1j * u / math.exp(_within(sharpness))))
-        scaled = (2j * np.pi * frequency * spectrum.impedance)[:, None] * np.column_stack(columns)
-        size = np.linalg.norm(scaled, axis=0)
-        wanted = np.ones(len(frequency))
-        if losses:
-            found = np.linalg.lstsq(scaled / size, wanted.astype(complex), rcond=None)[0] / size
-        else:
-            found = nnls(np.vstack([scaled.real, scaled.imag]) / size,
-                         np.concatenate([wanted, np.zeros(len(frequency))]))[0].astype(complex) / size
-        branches, rest = self.branches.copy(), self.rest.copy()
-        moved = np.abs(found) > 0.0
-        branches[moved[1:], 2] = np.log(np.abs(found[1:][moved[1:]]))
-        branches[:, 3] = np.angle(found[1:])
-        if found[0].real > 0.0:
-            rest[:2] = math.log(abs(found[0])), -found[0].imag / found[0].real
-        return BranchCircuit(branches, rest)
-
-    def without(self, index: int) -> BranchCircuit:
-        return replace(self, branches=np.delete(self.branches, index, axis=0))
-
-    def vector(self) -> Real:
-        return np.concatenate([self.branches.ravel(), self.rest])
-
-    def moved(self, vector: Real) -> BranchCircuit:
-        """A circuit of as many branches with the parameters of a vector."""
-        return BranchCircuit(vector[:-3].reshape(-1, OF_BRANCH), vector[-3:])
-
-    def impedance(self, frequency: Real) -> Complex:
-        """Z (n,) ohm."""
-        return self.with_slopes(frequency)[0]
-
-    def with_slopes(self, frequency: Real) -> tuple[Complex, Complex]:
-        """Z (n,) ohm and its derivatives (n, p) by :meth:`vector`."""
-        omega = 2.0 * np.pi * frequency
-        capacitance, slopes = self.capacitance(frequency)
-        admittance = 1j * omega * capacitance
-        return self.rest[2] + 1.0 / admittance, np.column_stack([
-            -1j * omega[:, None] * slopes / admittance[:, None] ** 2, np.ones_like(omega)])
-
-    def capacitance(self, frequency: Real, without: Collection[int] = ()) -> tuple[Complex, Complex]:
-        """Y / (j w) (n,) in F, without Rs and some branches. `without` are the indices of those. Also its derivatives
-        (n, p - 1) by the parameters other than Rs."""
-        columns: list[NDArray[Any]] = []
-        static = math.exp(_within(self.rest[0])) * np.ones(len(frequency), dtype=complex)
-        total = static * (1.0 - 1j * self.rest[1])
-        for k, (at, sharpness, capacitance, phase) in enumerate(self.branches):
-            if k in without:
-                columns += OF_BRANCH * [np.zeros(len(frequency))]
-                continue
-            u, q = frequency * math.exp(-_within(at)), math.exp(_within(sharpness))
-            bracket = 1.0 - u**2 + 1j * u / q
-            part: Complex = np.exp(_within(capacitance) + 1j * phase) / bracket
-            total = total + part
-            columns += [part * (1j * u / q - 2.0 * u**2) / bracket, part * (1j * u / q) / bracket, part, 1j * part]
-        return total, np.column_stack([*columns, static * (1.0 - 1j * self.rest[1]), -1j * static])
-
-
-def _within(logarithm: float) -> float:
-    """The logarithm, limited so that its exponential is finite."""
-    return float(min(max(logarithm, -LARGEST), LARGEST))
-
-
-@dataclass(frozen=True, eq=False)
-class SolvedCircuit:
-    """A circuit that was fitted to a spectrum. ``squares`` is its sum of weighted squares, ``covariance`` that of its
-    vector, ``free`` the indices of its free parameters."""
-
-    spectrum: Spectrum
-    circuit: BranchCircuit
-    freedom: Freedom
-    free: NDArray[np.int64]
-    squares: float
-    covariance: Real
+    @property
+    def errors(self) -> Real:
+        """Standard errors (k, 4) of `branches`, 0 for fixed parameters."""
+        return np.sqrt(np.diag(self.covariance)[:-3].reshape(-1, OF_BRANCH))
 
     @property
     def variance(self) -> float:
         """Reduced chi-square, or the variance of ln Z without a stated noise."""
-        return self.squares / max(2 * len(self.spectrum.frequency) - len(self.free), 1)
+        return self.squares / max(2 * len(self.spectrum.frequency) - int(self.free.sum()), 1)
 
-    def errors(self) -> Real:
-        """Standard errors of the vector, 0 for fixed parameters."""
-        return np.sqrt(np.diag(self.covariance))
+    def moved(self, branches: Real, rest: Real | None = None) -> BranchCircuit:
+        """A circuit with other parameters, not solved."""
+        return BranchCircuit(self.spectrum, branches, self.rest if rest is None else rest, self.has_losses,
+                             self.has_resistance, self.beyond)
 
-    def fit(self, listed: Sequence[int] | None = None, findings: tuple[str, ...] = ()) -> CircuitFit:
-        """The result for the branches `listed` by index, by default all."""
-        branches = self.circuit.branches
-        chosen = sorted(range(len(branches)) if listed is None else listed, key=lambda k: float(branches[k, 0]))
-        impedance = self.circuit.impedance(self.spectrum.frequency)
+    def with_branch(self, frequency: float, bandwidth: float) -> BranchCircuit:
+        """The circuit with one more branch (Hz), whose capacitance is tiny."""
+        new = [math.log(frequency), math.log(frequency / bandwidth), float(self.rest[0]) - 20.0, 0.0]
+        return self.moved(np.vstack([self.branches, new]))
+
+    def with_amplitudes(self) -> BranchCircuit:
+        """The circuit whose capacitances minimise the relative error of Y.
+
+        With losses, the phases are found too. Both enter Y linearly. Without losses no capacitance is below zero, and
+        one whose best value is zero does not change.
+        """
+        omega = 2.0 * np.pi * self.spectrum.frequency[:, None]
+        columns = np.column_stack([np.ones_like(omega), 1.0 / self._brackets(self.spectrum.frequency)[2]])
+        columns = 1j * omega * self.spectrum.impedance[:, None] * columns
+        columns /= (size := np.linalg.norm(columns, axis=0))
+        wanted = np.ones(len(columns), dtype=complex)
+        solution = (np.linalg.lstsq(columns, wanted, rcond=None)[0] if self.has_losses
+                    else nnls(_parts(columns), _parts(wanted))[0].astype(complex)) / size
+        static, amplitudes = complex(solution[0]), solution[1:]
+        branches, rest, changed = self.branches.copy(), self.rest.copy(), np.abs(amplitudes) > 0.0
+        branches[changed, 2] = np.log(np.abs(amplitudes[changed]))
+        branches[:, 3] = np.angle(amplitudes)
+        if static.real > 0.0:
+            rest[:2] = math.log(abs(static)), -static.imag / static.real
+        return self.moved(branches, rest)
+
+    def _brackets(self, frequency: Real) -> tuple[Real, Complex, Complex]:
+        """u^2, j u / Q and their brackets, each (n, k)."""
+        u = frequency[:, None] / self.frequencies
+        loss = np.asarray(1j * u / _exponential(self.branches[:, 1]), dtype=np.complex128)
+        return u**2, loss, 1.0 - u**2 + loss
+
+    def capacitance(self, frequency: Real, without: Collection[int] = ()) -> tuple[Complex, Complex]:
+        """Y / (j w) (n,) in F and its derivatives (n, p).
+
+        Rs and the branches of the indices `without` are omitted.
+        """
+        square, loss, bracket = self._brackets(frequency)
+        parts = _exponential(self.branches[:, 2]) * np.exp(1j * self.branches[:, 3]) / bracket
+        parts[:, list(without)] = 0.0
+        slopes = np.stack([parts * (loss - 2.0 * square) / bracket, parts * loss / bracket, parts, 1j * parts], axis=2)
+        rest = np.array([1.0 - 1j * self.rest[1], -1j, 0.0]) * _exponential(self.rest[:1])
+        return rest[0] + parts.sum(axis=1), np.hstack([slopes.reshape(len(frequency), -1),
+                                                       np.tile(rest, (len(frequency), 1))])
+
+    def impedance(self, frequency: Real) -> tuple[Complex, Complex]:
+        """Z (n,) ohm, and its derivatives (n, p)."""
+        capacitance, slopes = self.capacitance(frequency)
+        admittance = 2j * np.pi * frequency * capacitance
+        slopes *= (-1.0 / (admittance * capacitance))[:, None]
+        slopes[:, -1] = 1.0
+        return self.rest[2] + 1.0 / admittance, slopes
+
+    def solved(self) -> BranchCircuit:
+        """The nearest circuit that minimises the residual of ln Z.
+
+        Positive parameters are fitted as logarithms. With losses, some parameters may hardly matter, so a fit near the
+        minimum is accepted.
+
+        Raises:
+            ValueError: too few points, or no convergence.
+        """
+        seen, free, vector = self.spectrum, self.free, self.vector
+        if len(seen.frequency) < free.sum():
+            raise ValueError(f"{len(seen.frequency)} points do not determine {free.sum()} parameters of a circuit")
+        bounds = np.tile([[-np.inf], [np.inf]], len(vector))
+        for k, ends in enumerate(self.beyond):
+            bounds[:, OF_BRANCH * k] = np.log(ends)
+        weight = 1.0 if seen.uncertainty is None else seen.magnitude / seen.uncertainty
+
+        def whole(part: Real) -> BranchCircuit:
+            moved = vector.copy()
+            moved[free] = part
+            return self.moved(moved[:-3].reshape(-1, OF_BRANCH), moved[-3:])
+
+        def misfit(part: Real) -> tuple[Complex, Complex]:
+            impedance, slopes = whole(part).impedance(seen.frequency)
+            off: Complex = np.log(impedance / seen.impedance)
+            return weight * off, (weight / impedance)[:, None] * slopes[:, free]
+
+        part, own, squares = least_squares_of(misfit, vector[free], known=seen.uncertainty is not None,
+                                              bounds=bounds[:, free], near=self.has_losses)
+        covariance = np.zeros((len(vector), len(vector)))
+        covariance[np.ix_(free, free)] = own
+        return replace(whole(part), squares=squares, covariance=covariance)
+
+    def fit(self, listed: Sequence[int], findings: tuple[str, ...] = ()) -> CircuitFit:
+        """The result for the branches `listed` by index. The circuit is a solved one."""
+        seen, (impedance, _) = self.spectrum, self.impedance(self.spectrum.frequency)
+        background, slopes, changed = self._background(0.5 * float(seen.frequency[0] + seen.frequency[-1]), listed)
+        tangent = -background.imag / background.real
         return CircuitFit(
-            tuple(self._resonance(k, chosen) for k in chosen), *self._static(chosen), self._number(-1),
-            Spectrum(self.spectrum.frequency, impedance), *residual_size(self.spectrum, impedance, len(self.free)),
-            findings)
+            tuple(self._resonance(k, listed) for k in sorted(listed, key=lambda k: float(self.branches[k, 0]))),
+            self._number(background.real, slopes.real, changed),
+            self._number(tangent, (slopes.imag + tangent * slopes.real) / background.real),
+            FittedNumber(float(self.rest[2]), math.sqrt(self.covariance[-1, -1])),
+            Spectrum(seen.frequency, impedance), *residual_size(seen, impedance, int(self.free.sum())), findings)
 
-    def background(self, frequency: float, listed: Sequence[int]) -> tuple[complex, Complex, float]:
+    def _background(self, frequency: float, listed: Sequence[int]) -> tuple[complex, Complex, float]:
         """The capacitance (F) without the branches `listed`, at a frequency (Hz).
 
-        Also its derivatives (p - 1,), and half of its range (F) over the band. A band cannot separate the static
+        Also its derivatives (p,), and half of its range (F) over the band. A band cannot separate the static
         capacitance from modes beyond its ends, or a loss of coupling from a loss in parallel, so the background
         includes all of these. In another band, with other modes, it differs by about that half range.
         """
-        (value,), (slopes,) = self.circuit.capacitance(np.array([frequency]), listed)
-        over_band, _ = self.circuit.capacitance(self.spectrum.frequency, listed)
+        (value,), (slopes,) = self.capacitance(np.array([frequency]), listed)
+        over_band, _ = self.capacitance(self.spectrum.frequency, listed)
         return complex(value), slopes, 0.5 * float(np.ptp(over_band.real))
 
-    def _static(self, listed: Sequence[int]) -> tuple[FittedNumber, FittedNumber]:
-        """Capacitance (F) and loss tangent of the background at mid-band."""
-        middle = 0.5 * float(self.spectrum.frequency[0] + self.spectrum.frequency[-1])
-        value, slopes, changed = self.background(middle, listed)
-        tangent = -value.imag / value.real
-        return (FittedNumber(value.real, math.hypot(self._error(slopes.real), changed)),
-                FittedNumber(tangent, self._error((slopes.imag + tangent * slopes.real) / value.real)))
-
-    def _error(self, slopes: Real) -> float:
-        """Standard error of a value with these derivatives (p - 1,)."""
-        return math.sqrt(max(float(slopes @ self.covariance[:-1, :-1] @ slopes), 0.0))
+    def _number(self, value: float, slopes: Real, changed: float = 0.0) -> FittedNumber:
+        """A value with these derivatives (p,), and a further independent error."""
+        return FittedNumber(value, math.hypot(math.sqrt(max(float(slopes @ self.covariance @ slopes), 0.0)), changed))
 
     def _resonance(self, k: int, listed: Sequence[int]) -> FittedResonance:
-        at, sharpness, capacitance, phase = range(OF_BRANCH * k, OF_BRANCH * (k + 1))
-        turn = math.log(2.0 * math.pi)
-        return FittedResonance(
-            self._exponential({at: 1.0}), self._exponential({sharpness: 1.0}), self._coupling(k, listed),
-            self._exponential({at: -1.0, capacitance: -1.0, sharpness: -1.0}, -turn),
-            self._exponential({at: -2.0, capacitance: -1.0}, -2.0 * turn), self._exponential({capacitance: 1.0}),
-            self._number(phase))
-
-    def _coupling(self, k: int, listed: Sequence[int]) -> FittedNumber:
-        """k_eff of a branch from the background's capacitance at its frequency."""
-        own = self._exponential({OF_BRANCH * k + 2: 1.0}).value
-        value, slopes, changed = self.background(float(self.circuit.frequencies[k]), listed)
-        if not value.real > 0.0:
-            return FittedNumber(math.nan, math.nan)
-        # d ln k = (1 - k^2) (d ln C - d ln Cb) / 2.
-        of_ratio = -slopes.real / value.real
-        of_ratio[OF_BRANCH * k + 2] += 1.0
-        k2 = own / (own + value.real)
-        spread = math.hypot(self._error(of_ratio), changed / value.real)
-        return FittedNumber(math.sqrt(k2), 0.5 * math.sqrt(k2) * (1.0 - k2) * spread)
-
-    def _number(self, index: int) -> FittedNumber:
-        return FittedNumber(float(self.circuit.vector()[index]), math.sqrt(self.covariance[index, index]))
-
-    def _exponential(self, powers: Mapping[int, float], constant: float = 0.0) -> FittedNumber:
-        """e to a constant plus a weighted sum of logarithms, with error."""
-        places, weights = list(powers), np.array(list(powers.values()))
-        logarithm = constant + float(weights @ self.circuit.vector()[places])
+        own = slice(OF_BRANCH * k, OF_BRANCH * (k + 1))
         # A parameter of a negligible branch may overflow.
-        value = math.exp(logarithm) if logarithm < math.log(sys.float_info.max) else math.inf
-        variance = float(weights @ self.covariance[np.ix_(places, places)] @ weights)
-        return FittedNumber(value, value * math.sqrt(max(variance, 0.0)))
-
-
-def solved(spectrum: Spectrum, start: BranchCircuit, freedom: Freedom) -> SolvedCircuit:
-    """The circuit nearest to `start` that minimises the residual of ln Z.
-
-    Positive parameters are fitted as logarithms. With losses, some parameters may hardly matter, so a fit near the
-    minimum is accepted.
-
-    Raises:
-        ValueError: too few points, or no convergence.
-    """
-    first, count = start.vector(), len(start.branches)
-    free = _free(count, freedom)
-    if len(spectrum.frequency) < len(free):
-        raise ValueError(f"{len(spectrum.frequency)} points do not determine {len(free)} parameters of a circuit")
-    low, high = np.full(len(first), -np.inf), np.full(len(first), np.inf)
-    for index, (lowest, highest) in freedom.confined.items():
-        low[OF_BRANCH * index], high[OF_BRANCH * index] = math.log(lowest), math.log(highest)
-    weight = np.ones(len(spectrum.frequency))
-    if spectrum.uncertainty is not None:
-        weight = spectrum.magnitude / spectrum.uncertainty
-
-    def whole(part: Real) -> BranchCircuit:
-        vector = first.copy()
-        vector[free] = part
-        return start.moved(vector)
-
-    def residual(part: Real) -> Real:
-        # A step that overflows is NaN, and the search rejects it.
         with np.errstate(all="ignore"):
-            logarithm = weight * np.log(whole(part).impedance(spectrum.frequency) / spectrum.impedance)
-        return np.concatenate([logarithm.real, logarithm.imag])
+            values = np.exp(POWERS @ self.branches[k] + TURNS * math.log(2.0 * math.pi))
+            errors = values * np.sqrt(np.maximum(np.diag(POWERS @ self.covariance[own, own] @ POWERS.T), 0.0))
+        f, q, resistance, inductance, capacitance = map(FittedNumber, values.tolist(), errors.tolist())
+        background, slopes, changed = self._background(float(self.frequencies[k]), listed)
+        k_eff = FittedNumber(math.nan, math.nan)
+        if background.real > 0.0:
+            ratio = capacitance.value / (capacitance.value + background.real)
+            # d ln k = (1 - k^2) (d ln C - d ln Cb) / 2.
+            by_ratio, of_ratio = 0.5 * math.sqrt(ratio) * (1.0 - ratio), -slopes.real / background.real
+            of_ratio[own.start + 2] += 1.0
+            k_eff = self._number(math.sqrt(ratio), by_ratio * of_ratio, by_ratio * changed / background.real)
+        return FittedResonance(f, q, k_eff, resistance, inductance, capacitance,
+                               FittedNumber(float(self.branches[k, 3]), float(self.errors[k, 3])))
 
-    def jacobian(part: Real) -> Real:
-        impedance, slopes = whole(part).with_slopes(spectrum.frequency)
-        scaled = (weight / impedance)[:, None] * slopes[:, free]
-        return np.vstack([scaled.real, scaled.imag])
 
-    vector, slope, squares = least_squares_of(residual, jacobian, first[free], bounds=(low[free], high[free]),
-                                              near=freedom.losses)
-    covariance = np.zeros((len(first), len(first)))
-    covariance[np.ix_(free, free)] = covariance_of(slope, squares, known=spectrum.uncertainty is not None)
-    return SolvedCircuit(spectrum, whole(vector), freedom, free, squares, covariance)
+def _exponential(logarithms: Real) -> Real:
+    """The exponentials, finite and above zero."""
+    return np.exp(np.clip(logarithms, -LARGEST, LARGEST))
 
 
-def _free(count: int, freedom: Freedom) -> NDArray[np.int64]:
-    """The indices of the free parameters of a circuit of `count` branches."""
-    last = OF_BRANCH * count
-    found = [k for k in range(last) if k % OF_BRANCH != OF_BRANCH - 1 or freedom.losses]
-    found += [last, *([last + 1] if freedom.losses else []), *([last + 2] if freedom.series_resistance else [])]
-    return np.array(found)
+def _parts(values: Complex) -> Real:
+    """The real parts (n, ...), then the imaginary parts."""
+    return np.concatenate([values.real, values.imag])
 
 
 def least_squares_of(
-    residual: Callable[[Real], Real], jacobian: Callable[[Real], Real], start: Real,
-    bounds: tuple[Real, Real] | None = None, *, near: bool = False,
+    misfit: Callable[[Real], tuple[Complex, Complex]], start: Real, *, known: bool,
+    bounds: Real | tuple[float, float] = (-np.inf, np.inf), near: bool = False,
 ) -> tuple[Real, Real, float]:
-    """Minimise the sum of squares of residuals (n,) over a vector (p,).
+    """Minimise the sum of squares of complex residuals over real parameters (p,).
 
-    It converges to rounding. With `near`, it ends when a step gains less than 1e-8 of the sum, or after :data:`STEPS`.
+    `misfit` gives the residuals (n,) and their derivatives (n, p). The search converges to rounding. With `near`, it
+    ends when a step gains less than 1e-8 of the sum, or after :data:`STEPS`.
 
     Returns:
-        The vector (p,), the Jacobian (n, p) at it, and the sum of squares.
+        The parameters (p,), their covariance (p, p), and the sum of squares. The covariance is scaled by the residual
+        unless the uncertainty is `known`.
 
     Raises:
         ValueError: not converged.
     """
     error = 1e-8 if near else 1e-12
-    found = least_squares(residual, start, jac=jacobian, x_scale="jac", xtol=error, ftol=error, gtol=error,
-                          bounds=(-np.inf, np.inf) if bounds is None else bounds, max_nfev=STEPS if near else None)
+    # A step that overflows is NaN, and the search rejects it.
+    with np.errstate(all="ignore"):
+        found = least_squares(lambda part: _parts(misfit(part)[0]), start, jac=lambda part: _parts(misfit(part)[1]),
+                              x_scale="jac", xtol=error, ftol=error, gtol=error, bounds=bounds,
+                              max_nfev=STEPS if near else None)
+    squares = 2.0 * float(found.cost)
     if found.status <= 0 and not near:
-        raise ValueError(f"the fit did not converge: {found.message} (sum of squares {2.0 * found.cost:.4g})")
-    return found.x, found.jac, 2.0 * float(found.cost)
+        raise ValueError(f"the fit did not converge: {found.message} (sum of squares {squares:.4g})")
+    # Scaled columns keep the inverse well conditioned when parameters differ by orders of magnitude.
+    norm = np.linalg.norm(found.jac, axis=0)
+    norm[norm == 0.0] = 1.0
+    inverse = np.linalg.pinv((found.jac / norm).T @ (found.jac / norm), hermitian=True) / np.outer(norm, norm)
+    return found.x, inverse if known else inverse * squares / (len(found.fun) - start.size), squares
 
 
 def residual_size(spectrum: Spectrum, impedance: Complex, parameters: int) -> tuple[float, float | None]:
-    """The rms of |Z_model / Z - 1|, and the reduced chi-square. The latter is None without an uncertainty of the
-    spectrum."""
+    """The rms of |Z_model / Z - 1|, and the reduced chi-square.
+
+    The latter is None without an uncertainty of the spectrum.
+    """
     off = np.abs(impedance - spectrum.impedance)
     rms = float(np.sqrt(np.mean((off / spectrum.magnitude) ** 2)))
     if spectrum.uncertainty is None:
         return rms, None
     return rms, float(np.sum((off / spectrum.uncertainty) ** 2)) / (2 * len(off) - parameters)
-
-
-def covariance_of(jacobian: Real, squares: float, *, known: bool) -> Real:
-    """Covariance (p, p) of a vector, from its Jacobian (n, p). It is scaled by the residual unless the uncertainty is
-    `known`."""
-    # Scaled columns keep the inverse well conditioned when parameters differ by orders of magnitude.
-    norm = np.linalg.norm(jacobian, axis=0)
-    norm = np.where(norm > 0.0, norm, 1.0)
-    inverse = np.linalg.pinv((jacobian / norm).T @ (jacobian / norm), hermitian=True) / np.outer(norm, norm)
-    return np.asarray(inverse * (1.0 if known else squares / (len(jacobian) - jacobian.shape[1])))

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.results.brief import Brief
-from workbench.results.circuit import FittedNumber, covariance_of, least_squares_of, residual_size
-from workbench.results.merit import Figures, figures
+from workbench.results.circuit import FittedNumber, least_squares_of, residual_size
+from workbench.results.merit import figures
 from workbench.results.spectrum import Spectrum
 
 #: Half-power widths to either side of the resonance in a fit without a band. Doubled, the background of neighbouring
@@ -52,57 +52,35 @@ def fit_pole(
     """
     seen = spectrum if band is None else spectrum.restricted(*band)
     start = figures(seen, near=near)
-    if band is None:
-        reach = REACH * (start.f2 - start.f1)
-        seen = seen.restricted(start.f0 - reach, start.f0 + reach)
-    return _fit(seen, start)
-
-
-def _fit(spectrum: Spectrum, start: Figures) -> PoleFit:
-    """Fit the pole p of Y = A/(x-p) + b + cx. x is the frequency from f0 in half-power half widths."""
     half = 0.5 * (start.f2 - start.f1)
-    x = (spectrum.frequency - start.f0) / half
-    measured = spectrum.admittance
-    # Without an uncertainty all points of Y have equal weight, so that the peak dominates. In a relative residual the
-    # points of least admittance would dominate, and with them the neighbouring modes.
-    if spectrum.uncertainty is None:
-        scale = np.full(len(x), start.z_min)
-    else:
-        scale = spectrum.magnitude**2 / spectrum.uncertainty
-
-    def basis(pole: complex) -> NDArray[np.complex128]:
-        return np.column_stack([1.0 / (x - pole), np.ones_like(x), x])
-
-    def admittance(vector: NDArray[np.float64]) -> NDArray[np.complex128]:
-        return np.asarray(basis(complex(vector[0], vector[1])) @ (vector[2::2] + 1j * vector[3::2]))
-
-    def residual(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-        error = admittance(vector) - measured
-        return np.concatenate([scale * error.real, scale * error.imag])
-
-    def jacobian(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-        pole = complex(vector[0], vector[1])
-        by_pole = complex(vector[2], vector[3]) / (x - pole) ** 2
-        linear = basis(pole)
-        columns = [by_pole, 1j * by_pole]
-        for column in linear.T:
-            columns += [column, 1j * column]
-        slope = scale[:, None] * np.column_stack(columns)
-        return np.vstack([slope.real, slope.imag])
-
+    if band is None:
+        seen = seen.restricted(start.f0 - 2.0 * REACH * half, start.f0 + 2.0 * REACH * half)
+    # Frequency from f0 in half-power half widths.
+    x = (seen.frequency - start.f0) / half
     if len(x) < 5:
         raise ValueError(f"{len(x)} points about {start.f0:.9g} Hz do not determine a pole; at least 5 are needed")
+    # Without an uncertainty all points of Y have equal weight, so that the peak dominates. In a relative residual the
+    # points of least admittance would dominate, and with them the neighbouring modes.
+    scale = np.full(len(x), start.z_min) if seen.uncertainty is None else seen.magnitude**2 / seen.uncertainty
+
+    def columns(pole: complex) -> NDArray[np.complex128]:
+        return np.column_stack([scale / (x - pole), scale + 0j, scale * x])
+
+    def misfit(vector: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        pole, *amplitudes = vector[:4] + 1j * vector[4:]
+        linear = columns(pole)
+        slopes = np.column_stack([amplitudes[0] * linear[:, 0] / (x - pole), linear])
+        return linear @ amplitudes - scale * seen.admittance, np.hstack([slopes, 1j * slopes])
+
     # In e^{+j w t} a decaying mode has Im f > 0; the half-power half width is its imaginary part.
-    amplitudes = np.linalg.lstsq(scale[:, None] * basis(1j), scale * measured, rcond=None)[0]
-    linear = np.column_stack([amplitudes.real, amplitudes.imag]).ravel()
-    vector, found, squares = least_squares_of(residual, jacobian, np.array([0.0, 1.0, *linear]))
-    covariance = covariance_of(found, squares, known=spectrum.uncertainty is not None)[:2, :2] * half**2
-    pole = complex(start.f0 + half * vector[0], half * vector[1])
+    first = np.append(1j, np.linalg.lstsq(columns(1j), scale * seen.admittance, rcond=None)[0])
+    vector, covariance, _ = least_squares_of(misfit, np.append(first.real, first.imag),
+                                             known=seen.uncertainty is not None)
+    pole = complex(start.f0 + half * vector[0], half * vector[4])
     if pole.imag <= 0.0:
         raise ValueError(f"the fitted pole {pole:.6g} Hz does not decay: this is no passive resonance")
-    q = pole.real / (2.0 * pole.imag)
-    slope = np.array([0.5 / pole.imag, -q / pole.imag])
-    impedance = 1.0 / admittance(vector)
-    return PoleFit(FittedNumber(pole.real, math.sqrt(covariance[0, 0])),
-                   FittedNumber(q, math.sqrt(slope @ covariance @ slope)), Spectrum(spectrum.frequency, impedance),
-                   *residual_size(spectrum, impedance, len(vector)))
+    # Both parts of the pole have this error, and no correlation.
+    error, q = half * math.sqrt(covariance[0, 0]), pole.real / (2.0 * pole.imag)
+    impedance = 1.0 / (seen.admittance + misfit(vector)[0] / scale)
+    return PoleFit(FittedNumber(pole.real, error), FittedNumber(q, error * math.hypot(0.5, q) / pole.imag),
+                   Spectrum(seen.frequency, impedance), *residual_size(seen, impedance, len(vector)))

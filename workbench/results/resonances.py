@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
 from workbench.results.band import fitted_points
-from workbench.results.circuit import BranchCircuit, CircuitFit, Freedom, SolvedCircuit, check_passive_spectrum, solved
+from workbench.results.circuit import BranchCircuit, CircuitFit, check_passive_spectrum
 from workbench.results.merit import NoResonance
 from workbench.results.peaks import find_peaks, half_widths
 from workbench.results.spectrum import Spectrum, WithSpectrum, scatter
@@ -68,35 +68,19 @@ def fit_resonances(
                               or not 1 <= count <= MOST):
         raise InputError("fit_resonances", "count", count, f"a whole number from 1 to {MOST}")
     check_passive_spectrum(seen, source="fit_resonances")
-    start = _start(seen, count)
-    try:
-        found = solved(seen, start, Freedom())
-    except ValueError:
-        beside = _with_surroundings(seen, start)  # a plain circuit that lacks much may not converge
-        if beside is None:
-            raise
-        found = beside
-    else:
-        if _is_incomplete(found):
-            found = _better(found, _with_surroundings(seen, found.circuit))
-    findings: list[str] = []
-    while len(listed(found)) < (MOST if count is None else count):
-        more = _one_more(found, needed=count is not None)
-        if more is None:
+    limit, needed, findings = count or MOST, count is not None, tuple[str, ...]()
+    circuit = _with_surroundings(_start(seen, limit))
+    while len(listed(circuit)) < limit and (more := _one_more(circuit, needed=needed)):
+        if findings := unresolved(more):
             break
-        close = unresolved(more)
-        if close is not None:
-            findings.append(close)
-            break
-        found = more
-    if count is None:
-        found = _determined(found)
-    if count is not None and len(listed(found)) < count:
-        raise ValueError(f"{count} resonances requested, {len(listed(found))} resolved"
-                         + "".join(f"; {text}" for text in findings))
-    if not listed(found):
+        circuit = more
+    if not needed:
+        circuit = _determined(circuit)
+    elif len(listed(circuit)) < limit:
+        raise ValueError("; ".join((f"{count} resonances requested, {len(listed(circuit))} resolved", *findings)))
+    if not listed(circuit):
         raise _nothing(seen)
-    return found.fit(listed(found), tuple(findings))
+    return circuit.fit(listed(circuit), findings)
 
 
 def resonances_of(spectrum: Spectrum) -> CircuitFit | None:
@@ -107,156 +91,141 @@ def resonances_of(spectrum: Spectrum) -> CircuitFit | None:
         return None
 
 
-def listed(found: SolvedCircuit) -> list[int]:
+def listed(circuit: BranchCircuit) -> list[int]:
     """The branches that are resonances in the band, by index.
 
     A branch beyond the band represents modes there. One whose bandwidth exceeds its frequency is a resistor in
     parallel: the loss of the capacitance and of modes beyond the band.
     """
-    low, high = float(found.spectrum.frequency[0]), float(found.spectrum.frequency[-1])
-    return [k for k, (at, width) in enumerate(zip(found.circuit.frequencies, found.circuit.bandwidths, strict=True))
-            if k not in found.freedom.confined and low < at < high and width < at]
+    low, high = circuit.spectrum.frequency[[0, -1]]
+    at = circuit.frequencies
+    inside = (low < at) & (at < high) & (circuit.bandwidths < at)
+    return [int(k) for k in np.flatnonzero(inside) if k >= len(circuit.beyond)]
 
 
-def unresolved(found: SolvedCircuit) -> str | None:
-    """The finding on neighbours closer than their mean bandwidth, or None."""
-    frequencies, widths = found.circuit.frequencies, found.circuit.bandwidths
-    ordered = sorted(listed(found), key=lambda k: float(frequencies[k]))
-    for one, other in pairwise(ordered):
-        apart, width = frequencies[other] - frequencies[one], 0.5 * (widths[one] + widths[other])
-        if apart < width:
-            return (f"about {0.5e-6 * (frequencies[one] + frequencies[other]):.4f} MHz there is more than one "
-                    f"resonance within a bandwidth of {1e-3 * width:.3g} kHz, and they are not resolved: f, Q and "
-                    "k_eff there are of all of them together")
-    return None
+def unresolved(circuit: BranchCircuit) -> tuple[str, ...]:
+    """The finding on the first neighbours closer than their mean bandwidth."""
+    places = listed(circuit)
+    ordered = sorted(zip(circuit.frequencies[places], circuit.bandwidths[places], strict=True))
+    for (at, own), (above, other) in pairwise(ordered):
+        width = 0.5 * (own + other)
+        if above - at < width:
+            return (f"about {0.5e-6 * (at + above):.4f} MHz there is more than one resonance within a bandwidth of "
+                    f"{1e-3 * width:.3g} kHz, and they are not resolved: f, Q and k_eff there are of all of them "
+                    "together",)
+    return ()
 
 
-def conductance_peaks(spectrum: Spectrum) -> list[tuple[float, float, float]]:
-    """Frequency (Hz), Q and series capacitance (F) of peaks of Re Y. The most prominent one is first."""
+def conductance_peaks(spectrum: Spectrum) -> Real:
+    """Frequency (Hz), Q and series capacitance (F) of conductance peaks (k, 3).
+
+    The most prominent one is first.
+    """
     conductance = spectrum.admittance.real
     if not np.max(conductance) > 0.0:
-        return []
-    # The noise of Re Y is about that of |Y|.
-    noise = _noise(spectrum) / spectrum.magnitude
+        return np.zeros((0, 3))
     floor = np.maximum(conductance, 1e-6 * float(np.max(conductance)))
     places, prominence = find_peaks(np.log(floor), RISE)
-    rises = conductance[places] * -np.expm1(-prominence)
-    kept = rises > ABOVE_NOISE * noise[places]
-    places, prominence = places[kept], prominence[kept]
-    widths = half_widths(floor, places)
-    steps = np.gradient(spectrum.frequency)
-    peaks = []
-    for k in np.argsort(-prominence):
-        at = float(spectrum.frequency[places[k]])
-        q = at / float(max(widths[k], 1.0) * steps[places[k]])
-        peaks.append((at, q, float(conductance[places[k]]) / (2.0 * math.pi * at * q)))
-    return peaks
-
-
-def _noise(spectrum: Spectrum) -> Real:
-    """Relative standard deviation (n,) of a point: stated, or from the scatter."""
-    if spectrum.uncertainty is not None:
-        return np.asarray(spectrum.uncertainty / spectrum.magnitude)
-    return np.full(len(spectrum.frequency), scatter(spectrum))
+    # The noise of Re Y is about that of |Y|.
+    noise = scatter(spectrum) if spectrum.uncertainty is None else spectrum.uncertainty / spectrum.magnitude
+    kept = conductance[places] * -np.expm1(-prominence) > ABOVE_NOISE * (noise / spectrum.magnitude)[places]
+    places = places[kept][np.argsort(-prominence[kept])]
+    at, steps = spectrum.frequency[places], np.gradient(spectrum.frequency)[places]
+    q = at / (np.maximum(half_widths(floor, places), 1.0) * steps)
+    return np.column_stack([at, q, conductance[places] / (2.0 * math.pi * at * q)])
 
 
 def _nothing(spectrum: Spectrum) -> NoResonance:
-    magnitude, lowest = spectrum.magnitude, int(np.argmin(spectrum.magnitude))
+    lowest = int(np.argmin(spectrum.magnitude))
     return NoResonance(
         f"no resonance stands out of the conductance from {spectrum.frequency[0]:.9g} to "
         f"{spectrum.frequency[-1]:.9g} Hz", frequency=float(spectrum.frequency[lowest]),
-        impedance=float(magnitude[lowest]))
+        impedance=float(spectrum.magnitude[lowest]))
 
 
-def _start(spectrum: Spectrum, count: int | None) -> BranchCircuit:
-    """A plain circuit of the peaks. Its capacitances minimise the relative error of Y."""
-    peaks = conductance_peaks(spectrum)[: MOST if count is None else count]
-    if not peaks:
+def _start(spectrum: Spectrum, limit: int) -> BranchCircuit:
+    """A plain circuit of at most `limit` peaks."""
+    peaks = conductance_peaks(spectrum)[:limit]
+    if not len(peaks):
         raise _nothing(spectrum)
     static = float(np.median(np.abs(spectrum.admittance) / spectrum.frequency)) / (2.0 * np.pi)
-    branches = [[math.log(at), math.log(q), math.log(guess), 0.0] for at, q, guess in peaks]
-    start = BranchCircuit(np.array(branches), np.array([math.log(static), 0.0, 0.0]))
-    return start.with_amplitudes(spectrum, losses=False)
+    return BranchCircuit(spectrum, np.column_stack([np.log(peaks), np.zeros(len(peaks))]),
+                         np.array([math.log(static), 0.0, 0.0]))
 
 
-# --------------------------------------------------------------------------------------------------------------------
-
-
-def _is_incomplete(found: SolvedCircuit) -> bool:
-    """Whether the residual is above the noise and above the relevant size."""
-    if found.spectrum.uncertainty is not None:
-        return found.variance > ENOUGH_NOISE
-    noise = scatter(found.spectrum)
-    return found.variance > max(0.5 * ENOUGH**2, ENOUGH_NOISE * noise**2)
-
-
-def _attempt(spectrum: Spectrum, circuit: BranchCircuit, freedom: Freedom) -> SolvedCircuit | None:
+def _attempt(start: BranchCircuit) -> BranchCircuit:
+    """The circuit solved from a start, or the start if that fails."""
     try:
-        return solved(spectrum, circuit.with_amplitudes(spectrum, losses=freedom.losses), freedom)
+        return start.with_amplitudes().solved()
     except ValueError:
+        return start
+
+
+def _is_incomplete(circuit: BranchCircuit) -> bool:
+    """Whether the residual is above the noise and above the relevant size."""
+    if circuit.spectrum.uncertainty is not None:
+        return circuit.variance > ENOUGH_NOISE
+    return circuit.variance > max(0.5 * ENOUGH**2, ENOUGH_NOISE * scatter(circuit.spectrum) ** 2)
+
+
+def _with_surroundings(start: BranchCircuit) -> BranchCircuit:
+    """The plain circuit, or a better one with losses and surroundings.
+
+    The surroundings are two resonances beyond the band's ends. A plain circuit that lacks much may not converge.
+    """
+    plain = _attempt(start)
+    if not _is_incomplete(plain):
+        return plain
+    low, high = map(float, start.spectrum.frequency[[0, -1]])
+    width, band = float(np.median(plain.bandwidths)), high - low
+    reach = min(width, 0.5 * band, 0.25 * low)
+    wide = plain.with_branch(low - reach, width).with_branch(high + reach, width)
+    wide = _attempt(replace(wide, branches=np.roll(wide.branches, 2, axis=0), has_losses=True,
+                            beyond=((max(low - band, 0.5 * low), low), (high, high + band))))
+    if wide.variance <= LARGEST_RATIO * plain.variance and math.isfinite(wide.squares):
+        return wide
+    return plain if math.isfinite(plain.squares) else plain.solved()
+
+
+def _one_more(circuit: BranchCircuit, *, needed: bool) -> BranchCircuit | None:
+    """The circuit with one more resonance, if it is better or `needed`.
+
+    The fit starts at the largest residual, and from two halves of the nearest resonance.
+    """
+    places, seen = listed(circuit), circuit.spectrum
+    if not places or not (needed or _is_incomplete(circuit)):
         return None
-
-
-def _better(found: SolvedCircuit, other: SolvedCircuit | None) -> SolvedCircuit:
-    """The `other` circuit if it reduces the residual variance enough (:data:`LARGEST_RATIO`)."""
-    return found if other is None or other.variance > LARGEST_RATIO * found.variance else other
-
-
-def _with_surroundings(spectrum: Spectrum, circuit: BranchCircuit) -> SolvedCircuit | None:
-    """The circuit with losses and two resonances beyond the band's ends."""
-    low, high = float(spectrum.frequency[0]), float(spectrum.frequency[-1])
-    width = float(np.median(circuit.bandwidths))
-    reach, first = min(width, 0.5 * (high - low), 0.25 * low), len(circuit.branches)
-    for at in (low - reach, high + reach):
-        circuit = circuit.with_branch(at, width)
-    confined = {first: (max(low - (high - low), 0.5 * low), low), first + 1: (high, high + (high - low))}
-    return _attempt(spectrum, circuit, Freedom(losses=True, confined=confined))
-
-
-def _one_more(found: SolvedCircuit, *, needed: bool) -> SolvedCircuit | None:
-    """The circuit with one more resonance, if it is better or `needed`. The fit starts at the largest residual, and
-    from two halves of the nearest resonance."""
-    if not needed and not _is_incomplete(found):
-        return None
-    spectrum, circuit = found.spectrum, found.circuit
-    off = np.abs(np.log(circuit.impedance(spectrum.frequency) / spectrum.impedance))
-    at = float(spectrum.frequency[int(np.argmax(np.convolve(off, np.ones(5), "same")))])
-    places = listed(found)
-    if not places:
-        return None
-    nearest = places[int(np.argmin(np.abs(circuit.frequencies[places] - at)))]
+    off = np.abs(np.log(circuit.impedance(seen.frequency)[0] / seen.impedance))
+    at = float(seen.frequency[int(np.argmax(np.convolve(off, np.ones(5), "same")))])
+    nearest = min(places, key=lambda k: abs(float(circuit.frequencies[k]) - at))
     centre, width = float(circuit.frequencies[nearest]), float(circuit.bandwidths[nearest])
     halves = circuit.branches.copy()
     halves[nearest, 0] = math.log(centre - 0.3 * width)
-    split = BranchCircuit(halves, circuit.rest).with_branch(centre + 0.3 * width, width)
-    starts = [circuit.with_branch(at, width), split]
-    tried = [each for each in (_attempt(spectrum, start, found.freedom) for start in starts) if each is not None]
+    starts = circuit.with_branch(at, width), circuit.moved(halves).with_branch(centre + 0.3 * width, width)
     # Reject a circuit in which a listed resonance moved out of the band, or became a loss in parallel.
-    kept = [each for each in tried if _sound(each) and len(listed(each)) > len(places)
-            and (needed or each.variance < LARGEST_RATIO * found.variance)]
-    return min(kept, key=lambda each: each.variance, default=None)
+    limit = math.inf if needed else LARGEST_RATIO * circuit.variance
+    better = [each for each in map(_attempt, starts)
+              if each.variance < limit and len(listed(each)) > len(places) and _is_sound(each)]
+    return min(better, key=lambda each: each.variance, default=None)
 
 
-def _sound(found: SolvedCircuit) -> bool:
+def _is_sound(circuit: BranchCircuit) -> bool:
     """Whether the last branch is a resonance in the band. It must be narrow and determined, and have a small phase."""
-    last = len(found.circuit.branches) - 1
-    low, high = float(found.spectrum.frequency[0]), float(found.spectrum.frequency[-1])
-    at, width = float(found.circuit.frequencies[last]), float(found.circuit.bandwidths[last])
-    return (low < at < high and width < WIDEST * (high - low) and abs(float(found.circuit.branches[last, 3])) < PHASE
-            and _exact(found, last))
+    last, band = len(circuit.branches) - 1, float(np.ptp(circuit.spectrum.frequency))
+    return (last in listed(circuit) and circuit.bandwidths[last] < WIDEST * band
+            and abs(float(circuit.branches[last, 3])) < PHASE and _looseness(circuit, last) < DETERMINED)
 
 
-def _exact(found: SolvedCircuit, k: int) -> bool:
-    errors = found.errors()[4 * k:4 * k + 4]
-    return bool(np.all(errors[1:3] < DETERMINED))
+def _looseness(circuit: BranchCircuit, k: int) -> float:
+    """The larger relative standard error of Q and of C1."""
+    return float(circuit.errors[k, 1:3].max())
 
 
-def _determined(found: SolvedCircuit) -> SolvedCircuit:
+def _determined(circuit: BranchCircuit) -> BranchCircuit:
     """The circuit without undetermined resonances; the worst is removed first."""
-    while True:
-        loose = [k for k in listed(found) if not _exact(found, k)]
-        if not loose or len(listed(found)) == 1:
-            return found
-        worst = max(loose, key=lambda k: float(np.max(found.errors()[4 * k + 1:4 * k + 3])))
-        confined = {k - (k > worst): ends for k, ends in found.freedom.confined.items()}
-        found = solved(found.spectrum, found.circuit.without(worst), replace(found.freedom, confined=confined))
+    while len(places := listed(circuit)) > 1:
+        worst = max(places, key=lambda k: _looseness(circuit, k))
+        if _looseness(circuit, worst) < DETERMINED:
+            break
+        circuit = circuit.moved(np.delete(circuit.branches, worst, axis=0)).solved()
+    return circuit
