@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
+import json
 import os
 import re
 import shlex
@@ -152,11 +153,23 @@ def test_the_readme_is_short_and_begins_with_the_two_commands() -> None:
 
 
 def test_no_page_bears_the_traces_of_a_machine() -> None:
-    files = [*PAGES, ROOT / "CHANGELOG.md", ROOT / "CITATION.cff", ROOT / ".pre-commit-config.yaml",
-             *(ROOT / "docs").glob("*.py"), *(ROOT / "examples").glob("*.*")]
+    named = ("CHANGELOG.md", "CITATION.cff", "CODE_OF_CONDUCT.md", ".zenodo.json", ".pre-commit-config.yaml")
+    files = [*PAGES, *(ROOT / name for name in named), *(ROOT / "docs").glob("*.py"),
+             *(ROOT / "examples").glob("*.*"), *(ROOT / ".github").rglob("*.*")]
     traces = re.compile(r"(?<![\w.~/$])/(work|home|root|tmp|Users|mnt)/\w|py(pi|thonhosted)\.org|conda\.anaconda\.org")
     for file in files:
         assert not traces.search(file.read_text(encoding="utf-8")), file
+
+
+def test_the_files_of_a_release_name_one_version() -> None:
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    (version,) = re.findall(r"^version: (.*)$", citation, re.MULTILINE)
+    (date,) = re.findall(r"^date-released: (.*)$", citation, re.MULTILINE)
+    newest = re.findall(r"^## (\d.*)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)[0]
+    assert newest == f"{version} - {date}"
+    assert version == wb.__version__
+    title = re.findall(r"^title: (.*)$", citation, re.MULTILINE)
+    assert title == [json.loads((ROOT / ".zenodo.json").read_text(encoding="utf-8"))["title"]]
 
 
 def test_the_chip_file_that_is_printed_is_read(tmp_path: Path) -> None:
