@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import importlib.util
 import json
@@ -293,6 +294,22 @@ def test_the_algorithm_of_a_diagnosis_names_functions_of_the_code() -> None:
         whole = "".join(code[module] for module in re.findall(r"`([\w.]+)`", modules))
         for name in re.findall(r"`(?:\w+\.)?(\w+)`", names):
             assert re.search(rf"(?:def|class) {name}\b", whole), name
+
+
+def test_messages_on_the_page_of_problems_are_those_of_the_program() -> None:
+    page = (ROOT / "docs/problems.md").read_text(encoding="utf-8")
+    cells = re.findall(r"^\| (`[^|]+) \|", page, re.MULTILINE)
+    assert len(cells) > 20
+    texts = [(ROOT / "setup").read_text(encoding="utf-8")]
+    for path in (each for package in ("workbench", "geometry", "materials") for each in (ROOT / package).rglob("*.py")):
+        texts += ["".join(str(part.value) for part in (node.values if isinstance(node, ast.JoinedStr) else [node])
+                          if isinstance(part, ast.Constant))
+                  for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+                  if isinstance(node, ast.Constant | ast.JoinedStr)]
+    whole = "\n".join(texts)
+    for cell in cells:
+        for words in re.findall(r"`([^`]+)`", cell):
+            assert words in whole, words
 
 
 @pytest.mark.slow
