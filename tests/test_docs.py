@@ -154,7 +154,8 @@ def test_the_readme_is_short_and_begins_with_the_two_commands() -> None:
 
 
 def test_no_page_bears_the_traces_of_a_machine() -> None:
-    named = ("CHANGELOG.md", "CITATION.cff", "CODE_OF_CONDUCT.md", ".zenodo.json", ".pre-commit-config.yaml")
+    named = ("CHANGELOG.md", "CITATION.cff", "CODE_OF_CONDUCT.md", "SECURITY.md", ".zenodo.json",
+             ".pre-commit-config.yaml", "paper/paper.md", "paper/paper.bib")
     files = [*PAGES, *(ROOT / name for name in named), *(ROOT / "docs").glob("*.py"),
              *(ROOT / "examples").glob("*.*"), *(ROOT / ".github").rglob("*.*")]
     traces = re.compile(r"(?<![\w.~/$])/(work|home|root|tmp|Users|mnt)/\w|py(pi|thonhosted)\.org|conda\.anaconda\.org")
@@ -294,6 +295,17 @@ def test_the_algorithm_of_a_diagnosis_names_functions_of_the_code() -> None:
         whole = "".join(code[module] for module in re.findall(r"`([\w.]+)`", modules))
         for name in re.findall(r"`(?:\w+\.)?(\w+)`", names):
             assert re.search(rf"(?:def|class) {name}\b", whole), name
+
+
+def test_the_figures_of_the_paper_are_those_of_the_validation() -> None:
+    text = (ROOT / "paper/paper.md").read_text(encoding="utf-8")
+    figures = re.findall(r"\d+\.\d+|\d+e-\d+|\d+ of \d+", text.partition("# Verification")[2].partition("# Limits")[0])
+    assert len(figures) > 15
+    validation = (ROOT / "docs/validation.md").read_text(encoding="utf-8")
+    for figure in figures:
+        assert re.search(rf"(?<![\d.]){re.escape(figure)}(?!\d)", validation), figure
+    entries = (ROOT / "paper/paper.bib").read_text(encoding="utf-8")
+    assert set(re.findall(r"@(\w+)", text)) == set(re.findall(r"^@\w+\{(\w+),", entries, re.MULTILINE))
 
 
 def test_messages_on_the_page_of_problems_are_those_of_the_program() -> None:
