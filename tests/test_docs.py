@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import importlib.util
+import json
 import os
 import re
 import shlex
@@ -152,11 +154,24 @@ def test_the_readme_is_short_and_begins_with_the_two_commands() -> None:
 
 
 def test_no_page_bears_the_traces_of_a_machine() -> None:
-    files = [*PAGES, ROOT / "CHANGELOG.md", ROOT / "CITATION.cff", ROOT / ".pre-commit-config.yaml",
-             *(ROOT / "docs").glob("*.py"), *(ROOT / "examples").glob("*.*")]
+    named = ("CHANGELOG.md", "CITATION.cff", "CODE_OF_CONDUCT.md", "SECURITY.md", ".zenodo.json",
+             ".pre-commit-config.yaml", "paper/paper.md", "paper/paper.bib")
+    files = [*PAGES, *(ROOT / name for name in named), *(ROOT / "docs").glob("*.py"),
+             *(ROOT / "examples").glob("*.*"), *(ROOT / ".github").rglob("*.*")]
     traces = re.compile(r"(?<![\w.~/$])/(work|home|root|tmp|Users|mnt)/\w|py(pi|thonhosted)\.org|conda\.anaconda\.org")
     for file in files:
         assert not traces.search(file.read_text(encoding="utf-8")), file
+
+
+def test_the_files_of_a_release_name_one_version() -> None:
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    (version,) = re.findall(r"^version: (.*)$", citation, re.MULTILINE)
+    (date,) = re.findall(r"^date-released: (.*)$", citation, re.MULTILINE)
+    newest = re.findall(r"^## (\d.*)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)[0]
+    assert newest == f"{version} - {date}"
+    assert version == wb.__version__
+    title = re.findall(r"^title: (.*)$", citation, re.MULTILINE)
+    assert title == [json.loads((ROOT / ".zenodo.json").read_text(encoding="utf-8"))["title"]]
 
 
 def test_the_chip_file_that_is_printed_is_read(tmp_path: Path) -> None:
@@ -280,6 +295,33 @@ def test_the_algorithm_of_a_diagnosis_names_functions_of_the_code() -> None:
         whole = "".join(code[module] for module in re.findall(r"`([\w.]+)`", modules))
         for name in re.findall(r"`(?:\w+\.)?(\w+)`", names):
             assert re.search(rf"(?:def|class) {name}\b", whole), name
+
+
+def test_the_figures_of_the_paper_are_those_of_the_validation() -> None:
+    text = (ROOT / "paper/paper.md").read_text(encoding="utf-8")
+    figures = re.findall(r"\d+\.\d+|\d+e-\d+|\d+ of \d+", text.partition("# Verification")[2].partition("# Limits")[0])
+    assert len(figures) > 15
+    validation = (ROOT / "docs/validation.md").read_text(encoding="utf-8")
+    for figure in figures:
+        assert re.search(rf"(?<![\d.]){re.escape(figure)}(?!\d)", validation), figure
+    entries = (ROOT / "paper/paper.bib").read_text(encoding="utf-8")
+    assert set(re.findall(r"@(\w+)", text)) == set(re.findall(r"^@\w+\{(\w+),", entries, re.MULTILINE))
+
+
+def test_messages_on_the_page_of_problems_are_those_of_the_program() -> None:
+    page = (ROOT / "docs/problems.md").read_text(encoding="utf-8")
+    cells = re.findall(r"^\| (`[^|]+) \|", page, re.MULTILINE)
+    assert len(cells) > 20
+    texts = [(ROOT / "setup").read_text(encoding="utf-8")]
+    for path in (each for package in ("workbench", "geometry", "materials") for each in (ROOT / package).rglob("*.py")):
+        texts += ["".join(str(part.value) for part in (node.values if isinstance(node, ast.JoinedStr) else [node])
+                          if isinstance(part, ast.Constant))
+                  for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+                  if isinstance(node, ast.Constant | ast.JoinedStr)]
+    whole = "\n".join(texts)
+    for cell in cells:
+        for words in re.findall(r"`([^`]+)`", cell):
+            assert words in whole, words
 
 
 @pytest.mark.slow

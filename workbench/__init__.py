@@ -18,7 +18,7 @@ Data flows one way: ``Chip -> Section -> SectionMesh -> Problem -> Operators -> 
 from __future__ import annotations
 
 #: Version of the package, as in ``pyproject.toml``.
-__version__ = "0.1.0"
+__version__ = "0.5.0"
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
