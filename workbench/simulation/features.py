@@ -37,6 +37,9 @@ from workbench.simulation.solved_spectrum import SolvedSpectrum
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+#: Relative error of a compliance, and with it of the change of the charge by a part.
+TOLERANCE = 1e-3
+
 #: Most orders.
 MOST_ORDERS = 200
 
@@ -77,7 +80,7 @@ def spectrum_with(
     Raises
     ------
     InputError : a feature is not on a free plane face.
-    NotConverged, ResponseNotConverged, OrdersNotConverged : see :func:`coupled`.
+    NotConverged, ResponseNotConverged, OrdersNotConverged : see :func:`compliance_of`.
     """
     assert found.model is not None
     assert found.solution is not None
@@ -89,69 +92,70 @@ def spectrum_with(
         (index,) = (i for i, part in enumerate(parts) if part.patch is error.patch)
         raise InputError(chip.file, f"features[{index}].distance", str(chip.features[index]),
                          "a patch on a plane face that nothing else touches") from None
-    change = coupled(posed, parts, found.frequency, driven, progress=progress)
+    between = compliance_of(posed, [part.patch for part in parts], np.array([part.angle for part in parts]),
+                            found.frequency, progress=progress)
+    change = charge_change(parts, found.frequency, driven, between.total)
     before, charge = found.impedance, found.solution.charge
-    impedance = before * charge / (charge + change.charge)
+    impedance = before * charge / (charge + change)
     largest = 100.0 * float(np.abs(np.log(impedance / before)).max())
     listed = "; ".join(map(str, chip.features))
     return replace(found, impedance=impedance), (
-        f"{listed}: ln Z changes by up to {largest:.3g} % ({change.orders} orders, the last ones moved this by "
-        f"{100.0 * change.moved:.1g} %)", "fields, energies, traps and heat are those of the chip without its features")
+        f"{listed}: ln Z changes by up to {largest:.3g} % ({between.orders} orders, the last ones moved the compliance "
+        f"by {100.0 * between.moved:.1g} %)",
+        "fields, energies, traps and heat are those of the chip without its features")
 
 
 @dataclass(frozen=True, eq=False)
-class Coupled:
-    """The change of the charge by rigid parts.
+class Compliance:
+    """The compliance between patches of a round chip.
 
-    ``charge`` (n,) is in C at 1 V, and ``orders`` is the number of orders that were computed. ``moved`` is the part of
-    the largest change by which the total moved in the last orders, ``error`` the largest relative error of a
-    compliance.
+    ``total`` (n, k, k) is the sum over all orders in m/N, by patch and direction (:func:`directions_of`). ``orders`` is
+    the number of orders that were computed, ``moved`` the relative change of the total in the last ones, ``error`` the
+    largest relative error of an order.
     """
 
-    charge: Complex
+    total: Complex
     orders: int
     moved: float
     error: float
 
 
-def coupled(
-    posed: Problem, parts: Sequence[RigidPart], frequencies: Real, driven: Sequence[Complex], *,
-    tolerance: float = 1e-3, progress: Progress = no_progress,
-) -> Coupled:
-    """The change of the charge by rigid `parts`.
+def directions_of(count: int) -> list[int]:
+    """The directions in which `count` parts move. A single one does not move along the circumference."""
+    return [AWAY, UP, ALONG] if count > 1 else [AWAY, UP]
 
-    Parameters
-    ----------
-    posed : the round chip.
-    frequencies : (n,) Hz.
-    driven : mean displacements (3, n) in m at 1 V of the patch of each part, without the parts.
-    tolerance : of the charge's change.
+
+def compliance_of(
+    posed: Problem, patches: Sequence[Patch], angles: Real, frequencies: Real, *, tolerance: float = TOLERANCE,
+    progress: Progress = no_progress,
+) -> Compliance:
+    """The compliance between patches at `angles` (rad) of a round chip.
+
+    The frequencies (n,) are in Hz, and the `tolerance` is relative, at every frequency.
 
     Raises
     ------
     NotConverged, ResponseNotConverged : a solve of an order fails.
     OrdersNotConverged : too many orders matter.
     """
-    patches, angles = [part.patch for part in parts], np.array([part.angle for part in parts])
-    # A single part does not move along the circumference.
-    directions = [AWAY, UP, ALONG] if len(parts) > 1 else [AWAY, UP]
+    directions = directions_of(len(patches))
     size = len(directions)
-    displacement = np.vstack([each[directions] for each in driven])
-    stiffness = np.repeat(np.array([part.dynamic_stiffness(frequencies) for part in parts]), size, axis=0)
-    is_along = np.tile(np.array(directions) == ALONG, len(parts))
+    is_along = np.tile(np.array(directions) == ALONG, len(patches))
     turn = np.kron(angles[:, None] - angles, np.ones((size, size)))
-    orders, compliance, error = _Orders(posed, patches, directions, frequencies, tolerance), 0.0, 0.0
+    orders, total, error = _Orders(posed, patches, directions, frequencies, tolerance), 0.0, 0.0
     space = HalfSpace.of(patches, angles) if any(patch.distance for patch in patches) else None
-    last, spaces, totals = list[Complex](), list[Real](), list[Complex]()
+    last, spaces, sums = list[Complex](), list[Real](), list[Complex]()
     for order in range(MOST_ORDERS):
         own, off = orders.compliance(order)
-        compliance, error = compliance + own * np.where(is_along[:, None] == is_along, np.cos(order * turn), np.where(
-            is_along, 1.0, -1.0) * np.sin(order * turn)), max(error, off)
+        # Displacements along the circumference have the other parity.
+        factor = np.where(is_along[:, None] == is_along, np.cos(order * turn),
+                          np.where(is_along, 1.0, -1.0) * np.sin(order * turn))
+        total, error = total + own * factor, max(error, off)
         progress("orders of the features", order / (order + 20.0))
         if space is None:
             if order == 1:
                 # Patches about the axis move with the first two orders alone.
-                return Coupled(_charge(displacement, stiffness, compliance), 2, 0.0, error)
+                return Compliance(np.asarray(total), 2, 0.0, error)
             continue
         last = [*last[1 - FITTED:], np.diagonal(own, axis1=1, axis2=2)]
         spaces = [*spaces[1 - FITTED:], np.repeat(np.diagonal(space.order(order), axis1=1, axis2=2), size, axis=1)]
@@ -160,12 +164,25 @@ def coupled(
             continue
         constants = fitted(np.array(last), np.array(spaces))
         pairs = 0.5 * (constants[:, :, :, None] + constants[:, :, None])
-        rest = np.einsum("pnij,pij->nij", pairs, np.kron(space.total, np.eye(size)))
-        totals = [*totals[-FITTED:], _charge(displacement, stiffness, compliance + rest)]
-        moved = float(np.abs(totals[-1] - totals).max() / (np.abs(totals[-1]).max() or 1.0))
-        if len(totals) > FITTED and moved <= tolerance:
-            return Coupled(totals[-1], order + 1, moved, error)
+        sums = [*sums[-FITTED:], total + np.einsum("pnij,pij->nij", pairs, np.kron(space.total, np.eye(size)))]
+        moved = max(float((np.linalg.norm(sums[-1] - each, axis=(1, 2)) / np.linalg.norm(sums[-1], axis=(1, 2))).max())
+                    for each in sums)
+        if len(sums) > FITTED and moved <= tolerance:
+            return Compliance(sums[-1], order + 1, moved, error)
     raise OrdersNotConverged(f"the total of {MOST_ORDERS} orders still moves by {moved:.1e}")
+
+
+def charge_change(parts: Sequence[RigidPart], frequencies: Real, driven: Sequence[Complex], total: Complex) -> Complex:
+    """The change of the charge (n,) by rigid `parts`.
+
+    It is in C at 1 V. `driven` are the mean displacements (3, n) in m at 1 V of the patch of each part, without the
+    parts, and `total` is the compliance of the patches.
+    """
+    directions = directions_of(len(parts))
+    y = np.vstack([each[directions] for each in driven]).T
+    d = np.repeat(np.array([part.dynamic_stiffness(frequencies) for part in parts]), len(directions), axis=0).T
+    coupling = np.eye(y.shape[1]) + d[:, :, None] * total
+    return -np.einsum("ni,ni->n", y, np.linalg.solve(coupling, (d * y)[:, :, None])[:, :, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,11 +228,3 @@ class _Orders:
         """The operators of order 0, of the first and of higher ones."""
         return tuple(assemble(self.posed.mesh, terms) for terms in (self.posed.terms, *(
             terms_of_order(self.posed.terms, is_first=is_first) for is_first in (True, False))))
-
-
-def _charge(displacement: Complex, stiffness: Complex, compliance: Complex) -> Complex:
-    """The change of the charge (n,)."""
-    y, d = displacement.T, stiffness.T
-    coupling = np.eye(y.shape[1]) + d[:, :, None] * compliance
-    return -np.einsum("ni,ni->n", y, np.linalg.solve(coupling, (d * y)[:, :, None])[:, :, 0])
-
