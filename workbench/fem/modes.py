@@ -11,17 +11,18 @@ real axis to complex frequencies by Chebyshev polynomials. Circles are added unt
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import math
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
-from scipy.linalg import qr
-from scipy.sparse.linalg import LinearOperator, eigs
+from scipy.linalg.blas import zgemm
 
 from workbench.fem.coefficients import Groups
+from workbench.fem.forms import real_times
 from workbench.fem.operators import FullOperators
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import Factor, System, one_thread
@@ -32,16 +33,25 @@ Complex = NDArray[np.complex128]
 #: Angular frequencies (n,) in rad/s and states (size - 1, n) without voltage, or (r, n) on a basis.
 Pairs = tuple[Complex, Complex]
 
-#: Relative change of an eigenfrequency at which it is converged: a hundredth of a width at Q = 5000. The
-#: error is smaller by another round.
-TOLERANCE = 1e-6
+#: Relative change of an eigenfrequency in the last step at which it is converged; the error is of that size.
+TOLERANCE = 1e-10
 
 #: Degree of the polynomials that continue the coefficients: their powers of w are then exact to 1e-12 over an octave.
 DEGREE = 14
 
-#: Modes sought about a frequency, vectors of the Arnoldi iteration for each, and its relative tolerance. Twice as many
-#: modes take three times as long and half as many factorisations.
-EACH, VECTORS, ROUGH = 32, 2.0, 1e-6
+#: Vectors of a block of the Arnoldi iteration. Doubled, each vector takes three quarters of the time, and more of them
+#: are necessary.
+BLOCK = 8
+
+#: Vectors of the iteration between tests, and most of them where a circle is wide enough. Doubled, there are fewer
+#: factorisations and more memory.
+CHECKED, DIRECTIONS = 32, 256
+
+#: Relative residual of a start: the error of a frequency is about its square.
+ROUGH = 1e-4
+
+#: Number of unknowns up to which all modes are found at once.
+DENSE = 400
 
 #: Relative step of frequency over which the matrix is taken to be linear in w^2 for starting values.
 STEP = 0.01
@@ -88,7 +98,7 @@ class Eigenmodes:
     """Modes of a model, by frequency.
 
     ``omega`` (n,) rad/s is complex, e^{-i w t}. ``states`` (size, n) have no voltage and x^T (dA/dw) x = -2 w, that is
-    x^T M x = 1 where A = K - w^2 M. ``changes`` (n,) is the relative change of each frequency in the last round.
+    x^T M x = 1 where A = K - w^2 M. ``changes`` (n,) is the relative change of each frequency in the last step.
     """
 
     operators: FullOperators
@@ -132,15 +142,15 @@ def eigenmodes(system: System, band: tuple[float, float], *, least_q: float = LE
 def _windows(system: System, band: tuple[float, float], least_q: float) -> Iterator[Eigenmodes]:
     """Modes about several frequencies, each mode once, until they cover the band."""
     edge, high = band
-    # A circle begins at the edge of the one before it.
-    half = 0.2 * (high - edge)
+    half = 0.25 * (high - edge)
     while edge < high:
-        centre = edge + min(0.9 * half, WIDEST * edge, 0.5 * (high - edge))
-        factor, starts, reached = _starts(system, centre, least_q)
+        # Equal circles cover the rest of the band.
+        wanted = min(0.5 * (high - edge) / math.ceil(0.5 * (high - edge) / half), WIDEST * edge)
+        centre = edge + wanted
+        factor, starts, reached = _starts(system, centre, wanted, least_q)
         half = min(reached, WIDEST * centre)
         if centre - half > edge:
             # It does not reach back: the next attempt is nearer.
-            half = 0.7 * (centre - edge)
             continue
         end = min(high, centre + half)
         model = _Continued.of(system, (np.pi * centre, 3.0 * np.pi * centre))
@@ -148,39 +158,96 @@ def _windows(system: System, band: tuple[float, float], least_q: float) -> Itera
         edge = end
 
 
-def _starts(system: System, frequency: float, least_q: float) -> tuple[Factor, Pairs, float]:
+def _starts(system: System, frequency: float, wanted: float, least_q: float) -> tuple[Factor, Pairs, float]:
     """The model factorised at a frequency (Hz), and approximate modes about it.
 
-    Returns also the half width (Hz) of the band in which these are all modes of the quality factor.
+    Returns also the half width (Hz) of the band in which these are all modes of the quality factor: `wanted` (Hz) or
+    more, or less if that takes more than :data:`DIRECTIONS` vectors.
     """
     factor = system.factored(frequency)[1]
+    inverse, growth = _shifted_inverse(system, factor, frequency), (1.0 + STEP) ** 2
+
+    most = DIRECTIONS
+    for found in _arnoldi(inverse, factor.scale.size):
+        # The circle about w^2 within which all of them are converged, and one about w within it.
+        squares = (1.0 - growth) / found.sizes
+        within = float(np.abs(squares[found.errors > ROUGH]).min(initial=np.inf))
+        radius = frequency * (np.sqrt(1.0 + within) - 1.0)
+        half = np.sqrt(max(radius**2 - (0.5 * frequency / least_q) ** 2, 0.0))
+        if half >= wanted:
+            break
+        if found.sizes.size >= most:
+            if half >= COVERED * radius:
+                break
+            most *= 2
+    inside = np.abs(squares) < within
+    omegas = 2.0 * np.pi * frequency * np.sqrt(1.0 + squares[inside])
+    return factor, (omegas, factor.scale[:, None] * (found.space @ found.inner[:, inside])), half
+
+
+def _shifted_inverse(system: System, factor: Factor, frequency: float) -> Callable[[Complex], Complex]:
+    """The product of A(w)^-1 and the change of A over a :data:`STEP`, the rows of the pressure times w^2.
+
+    It takes and returns scaled columns (size - 1, k). Its eigenvalues are (w^2 - w'^2) / (w_n^2 - w^2).
+    """
     further = frequency * (1.0 + STEP)
     change, free, growth = system.change(frequency, further), factor.scale.size, (1.0 + STEP) ** 2
     rows = np.unique(system.operators.numbering["p"])
     rows = rows[rows >= 0]
-    of_pressure = (growth - 1.0) * system.matrix(further)[rows]
-    state = np.zeros(free + 1, dtype=complex)
+    of_pressure = (growth - 1.0) * system.matrix(further)[rows][:, :free]
+    scale = factor.scale[:, None]
 
     def inverse(right: Complex) -> Complex:
-        state[:free] = factor.scale * right.ravel()
-        image = change.times(state)
-        image[rows] += of_pressure @ state
-        return factor.solve_scaled(factor.scale * image[:free])
+        state = np.zeros((free + 1, right.shape[1]), dtype=complex)
+        state[:free] = scale * right
+        image = change.times(state)[:free]
+        image[rows] += of_pressure @ state[:free]
+        return factor.solve_scaled(scale * image)
 
-    count = EACH
-    while True:
-        count = min(count, free - 2)
-        start = np.random.default_rng(0).standard_normal(free).astype(complex)
-        sizes, vectors = eigs(LinearOperator((free, free), matvec=inverse, dtype=complex), k=count, v0=start,
-                              ncv=min(free, int(VECTORS * count)), tol=ROUGH)
-        # The circle about w^2 that holds all of them, and one about w within it.
-        squares = (1.0 - growth) / sizes
-        radius = frequency * (np.sqrt(1.0 + float(np.abs(squares).max())) - 1.0)
-        half = np.sqrt(max(radius**2 - (0.5 * frequency / least_q) ** 2, 0.0))
-        if half >= COVERED * radius or count == free - 2:
-            omegas = 2.0 * np.pi * frequency * np.sqrt(1.0 + squares)
-            return factor, (omegas, factor.scale[:, None] * vectors), half if count < free - 2 else np.inf
-        count *= 2
+    return inverse
+
+
+@dataclass(frozen=True, eq=False)
+class _Ritz:
+    """Approximate eigenvalues ``sizes`` (n,) of an operator, their relative errors (n,), and vectors space @ inner."""
+
+    sizes: Complex
+    errors: Real
+    space: Complex
+    inner: Complex
+
+
+def _arnoldi(operator: Callable[[Complex], Complex], size: int) -> Iterator[_Ritz]:
+    """Eigenvalues of an operator in block Krylov spaces that grow.
+
+    `operator` takes and returns columns (size, k). The last space is the whole one.
+    """
+    if size <= DENSE:
+        sizes, whole = np.linalg.eig(operator(np.eye(size, dtype=complex)))
+        moving = np.abs(sizes) > ROUNDING * np.abs(sizes).max()
+        yield _Ritz(sizes[moving], np.zeros(int(moving.sum())), whole, np.eye(size)[:, moving])
+        return
+    space = np.zeros((size, DIRECTIONS + BLOCK), dtype=complex, order="F")
+    triangle = np.zeros((DIRECTIONS + BLOCK, DIRECTIONS + BLOCK), dtype=complex)
+    start = operator(np.random.default_rng(0).standard_normal((size, BLOCK)).astype(complex))
+    space[:, :BLOCK] = np.linalg.qr(start)[0]
+    count = 0
+    while count + 2 * BLOCK <= size:
+        last = slice(count, count + BLOCK)
+        count += BLOCK
+        if count + BLOCK > space.shape[1]:
+            space = np.asfortranarray(np.pad(space, ((0, 0), (0, count))))
+            triangle = np.pad(triangle, (0, count))
+        found = np.asfortranarray(operator(space[:, last]))
+        known = space[:, :count]
+        # Columns shrink by a tenth at most, so that once is enough.
+        triangle[:count, last] = zgemm(1.0, known, found, trans_a=2)
+        found = zgemm(-1.0, known, triangle[:count, last], 1.0, found, overwrite_c=True)
+        space[:, count : count + BLOCK], triangle[count : count + BLOCK, last] = np.linalg.qr(found)
+        if count % CHECKED == 0:
+            sizes, inner = np.linalg.eig(triangle[:count, :count])
+            outside = np.linalg.norm(triangle[count : count + BLOCK, last] @ inner[last], axis=0)
+            yield _Ritz(sizes, outside / np.abs(sizes), known, inner)
 
 
 def _refined(
@@ -189,24 +256,36 @@ def _refined(
     """The modes in a `band` (Hz) that are reached from approximate ones."""
     scale = factor.scale[:, None]
     omegas, full = starts
+    nearby = _inside(omegas, band, 0.5 * least_q, margin=0.2)
+    omegas, full = omegas[nearby], full[:, nearby]
     basis = _orthonormal(_parts(full / scale), np.zeros((scale.size, 0)))
+    parts = [(omegas[:0], full[:, :0], np.zeros(0))]
     for _ in range(ROUNDS):
-        projected = model.on(np.vstack([scale * basis, np.zeros(basis.shape[1])]))
-        previous, coordinates = omegas, basis.T @ (full / scale)
-        modes = [projected.mode_near(*pair) for pair in zip(omegas, coordinates.T, strict=True)]
-        omegas, states = projected.distinct(modes)
-        changes = np.array([abs(previous / omega - 1.0).min() for omega in omegas])
-        full = scale * (basis @ states)
-        inside = _inside(omegas, band, least_q)
-        if not inside.any() or changes[inside].max() <= TOLERANCE:
+        if omegas.size:
+            projected = model.on(np.vstack([scale * basis, np.zeros(basis.shape[1])]))
+            coordinates = real_times(basis.T[None], full / scale)[0]
+            modes = [projected.mode_near(*pair) for pair in zip(omegas, coordinates.T, strict=True)]
+            omegas, states = projected.distinct(modes)
+            # A mode near the edge may yet move into the band.
+            moving = _inside(omegas, band, 0.9 * least_q, margin=0.02)
+            omegas, states = omegas[moving], states[:, moving]
+        if not omegas.size:
+            found, full, changes = (np.concatenate(each, axis=-1) for each in zip(*parts, strict=True))
+            inside = _inside(found, band, least_q)
             states = np.vstack([full[:, inside], np.zeros(int(inside.sum()))])
-            return Eigenmodes(model.system.operators, omegas[inside], states, changes[inside])
-        # A mode near the edge may yet move into the band.
-        moving = np.flatnonzero((changes > 0.01 * TOLERANCE) & _inside(omegas, band, 0.5 * least_q, margin=0.1))
-        steps = np.stack([factor.solve_scaled(factor.scale * model.image(omegas[k], full[:, k]))
-                          for k in moving], axis=1)
-        basis = np.hstack([basis, _orthonormal(_parts(steps), basis)])
-    raise ModesNotConverged(omegas[inside] / (2.0 * np.pi), changes[inside])
+            return Eigenmodes(model.system.operators, found[inside], states, changes[inside])
+        full = scale * real_times(basis[None], states)[0]
+        residuals = scale * model.images(omegas, full)
+        steps = factor.solve_scaled(residuals)
+        # w^2 changes by r^T A^-1 r / (x^T M x) for the residual r = A x; the factor stands for A.
+        change = -0.5 * np.sum(residuals * steps, axis=0) / omegas
+        changes = np.abs(change / omegas)
+        done = changes <= TOLERANCE
+        parts.append(((omegas + change)[done], (full - scale * steps)[:, done], changes[done]))
+        omegas, full, steps = omegas[~done], full[:, ~done], steps[:, ~done]
+        if omegas.size:
+            basis = np.hstack([basis, _orthonormal(_parts(steps), basis)])
+    raise ModesNotConverged(omegas / (2.0 * np.pi), changes[~done])
 
 
 def _inside(omegas: Complex, band: tuple[float, float], least_q: float, margin: float = 0.0) -> NDArray[np.bool_]:
@@ -235,11 +314,13 @@ class _Continued:
         groups = system.operators.coefficients.groups(nodes, system.values)
         return cls(system, [Chebyshev.fit(nodes, law, DEGREE, domain=list(band)) for law, _ in groups], groups)
 
-    def image(self, omega: complex, state: Complex) -> Complex:
-        """The product A(w) x (size - 1,) for a `state` without voltage."""
-        state = np.append(state, 0.0)
-        return np.asarray(sum(law(omega) * matrix.times(state)
-                              for law, matrix in zip(self.laws, self.system.groups, strict=True)))[:-1]
+    def images(self, omegas: Complex, states: Complex) -> Complex:
+        """The products A(w_k) x_k (size - 1, n) for columns `states` (size - 1, n) without voltage."""
+        states = np.vstack([states, np.zeros(omegas.size)])
+        result = np.zeros(states.shape, dtype=complex)
+        for law, matrix in zip(self.laws, self.system.groups, strict=True):
+            result += law(omegas) * matrix.times(states)
+        return result[:-1]
 
     def on(self, basis: Real) -> _Projected:
         """The model on a basis (size, r)."""
@@ -322,5 +403,7 @@ def _orthonormal(vectors: Real, basis: Real) -> Real:
     """
     for _ in range(2):
         vectors = vectors - basis @ (basis.T @ vectors)
-    columns, triangle, _ = qr(vectors, mode="economic", pivoting=True)
-    return np.asarray(columns[:, np.abs(np.diag(triangle)) > DEPENDENT])
+        squares, turn = np.linalg.eigh(vectors.T @ vectors)
+        large = squares > DEPENDENT**2
+        vectors = vectors @ (turn[:, large] / np.sqrt(squares[large]))
+    return np.asarray(vectors)

@@ -167,11 +167,14 @@ def modes(
     posed = build(device, band=span, accuracy=accuracy)
     nodal, dofs = section_nodes(posed.mesh)
     found: list[ChipMode] = []
+    operators: FullOperators | None = None
     for k, number in enumerate(values):
         progress("modes", k / len(values))
         is_first = not is_straight and number == 1.0
         terms = terms_of_order(posed.terms, is_first=is_first) if number else posed.terms
-        system = System(assemble(posed.mesh, terms), {**posed.values, ORDER: number})
+        # All orders above the first have one model.
+        operators = operators if operators and operators.terms == terms else assemble(posed.mesh, terms)
+        system = System(operators, {**posed.values, ORDER: number})
         found += _described(system, eigenmodes(system, span, least_q=least_q), number, is_straight, nodal, dofs)
     progress("modes", 1.0)
     return ChipModes(chip, device.state.name, span, least_q, tuple(sorted(found, key=lambda mode: mode.frequency)),
@@ -214,10 +217,11 @@ def _described(
     loss = _loss_shares(operators, found.states, coefficients)
     capacitances, couplings = _couplings(system, found) if number == 0.0 else np.zeros((2, real.size))
     wavelength = 2.0 * math.pi / number if is_straight and number else math.inf
+    components = nodal_components(operators, found.states, nodal, dofs)
     result = []
     for k, (frequency, q) in enumerate(zip(found.frequency, found.q, strict=True)):
         own = _ordered({region: float(each[k]) for region, each in energy.items()})
-        fields = nodal_components(operators, found.states[:, k], nodal, dofs)
+        fields = {name: values[:, k] for name, values in components.items()}
         lost = _ordered({place: float(each[k]) for place, each in loss.items()})
         result.append(ChipMode(0 if is_straight else round(number), wavelength, float(frequency), float(q),
                            float(capacitances[k]), float(couplings[k]), own, lost,
