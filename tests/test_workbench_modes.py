@@ -141,3 +141,48 @@ def test_an_error_keeps_the_frequencies() -> None:
     error = ModesNotConverged(np.array([1e6 + 1e3j]), np.array([1e-3]))
     assert "1e+06 Hz" in str(error)
     assert math.isclose(error.changes[0], 1e-3)
+
+
+def test_the_peaks_of_a_spectrum_are_named_by_the_poles_of_the_reduced_model(disc: wb.Chip) -> None:
+    """The reduced model, exact to 1e-6 in Z, has the modes of the full one."""
+    run = wb.simulate(disc, points=401, relative_error=1e-6, accuracy=1e-2)
+    known = wb.modes(disc, accuracy=1e-2)
+    assert [peak.quantity for peak in run.peak_modes] == ["conductance"] * 2
+    for peak in run.peak_modes:
+        mode = known.near(peak.frequency)
+        assert mode is not None
+        assert peak.mode.frequency == pytest.approx(mode.frequency, rel=1e-6)
+        assert peak.mode.q == pytest.approx(mode.q, rel=1e-4)
+        assert peak.mode.k_eff == pytest.approx(mode.k_eff, rel=1e-3)
+        assert peak.mode.energy == pytest.approx(dict(mode.energy), abs=1e-4)
+        assert peak.mode.crossings == mode.crossings
+        assert peak.share == pytest.approx(1.0, abs=0.15)
+        # The height is that between the samples.
+        samples = run.spectrum.interpolant()(peak.frequency * (1.0 + np.array([-1e-4, 0.0, 1e-4])))
+        assert np.argmax((1.0 / samples).real) == 1
+    assert wb.simulate(disc, points=9, full=True, accuracy=1e-2).peak_modes == ()
+
+
+def test_a_peak_of_the_energy_is_that_of_a_mode_with_energy_in_the_liquid() -> None:
+    chip = wb.read_chip("geometry/chips/glass_channel.toml")
+    run = wb.simulate(chip, accuracy=2e-2, points=241, warm=None)
+    peaks = [peak for peak in run.peak_modes if peak.quantity == "energy in the cavity"]
+    assert [peak.frequency for peak in peaks] == sorted(peak.frequency for peak in run.operating.peaks)
+    highest = next(peak for peak in peaks if peak.frequency == run.operating.peaks[0].frequency)
+    assert highest.mode.liquid > 0.3
+    assert abs(highest.mode.frequency / highest.frequency - 1.0) < 1.0 / highest.mode.q
+
+
+@pytest.mark.usefixtures("disc")
+def test_the_report_names_the_mode_of_each_peak(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    assert main(["simulate", str(tmp_path / "disc.toml"), "--accuracy", "1 %", "--no-pictures", "--no-cad",
+                 "-o", str(folder)]) == 0
+    (state,) = json.loads((folder / "merit.json").read_text(encoding="utf-8"))["states"].values()
+    first, second = state["peak_modes"]
+    assert 0.95e6 < first["frequency_hz"] < second["frequency_hz"] < 1.08e6
+    assert first["mode"]["k_eff"] > 0.1
+    assert sum(first["mode"]["energy"].values()) == pytest.approx(1.0)
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "What is each peak?" in page
+    assert first["mode"]["words"] in page

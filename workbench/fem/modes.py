@@ -21,11 +21,12 @@ from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 from scipy.linalg.blas import zgemm
 
-from workbench.fem.coefficients import Groups
+from workbench.fem.coefficients import Coefficients, Groups
 from workbench.fem.forms import real_times
 from workbench.fem.operators import FullOperators
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import Factor, System, one_thread
+from workbench.physics.term import Values
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -69,6 +70,9 @@ DEPENDENT = 1e-5
 #: Least share of a circle's radius that lies on the band for the modes that are wanted. Where it is less, more modes
 #: are sought about that frequency.
 COVERED = 0.5
+
+#: Modes of a reduced model sought about a frequency.
+NEAREST = 4
 
 #: Largest half width of a circle over its frequency: coefficients are continued over an octave.
 WIDEST = 0.3
@@ -115,6 +119,19 @@ class Eigenmodes:
     def q(self) -> Real:
         """Quality factors (n,); infinite without loss."""
         return _quality(self.omega)
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedModes:
+    """Modes of a reduced model, by frequency, normalised as :class:`Eigenmodes`.
+
+    ``omega`` (n,) rad/s, ``drive`` (n,) the electrode's row times the state: the charge at 1 V has the poles drive^2 /
+    (omega^2 - w^2). ``states`` (r - 1, n) are coordinates.
+    """
+
+    omega: Complex
+    drive: Complex
+    states: Complex
 
 
 def eigenmodes(system: System, band: tuple[float, float], *, least_q: float = LEAST_Q) -> Eigenmodes:
@@ -298,6 +315,39 @@ def _inside(omegas: Complex, band: tuple[float, float], least_q: float, margin: 
     return (omegas.real >= low - wider) & (omegas.real < high + wider) & (_quality(omegas) >= least_q)
 
 
+def reduced_modes(operators: ReducedOperators, values: Values, frequencies: Iterable[float]) -> ReducedModes:
+    """The modes of a reduced model nearest to each of some frequencies (Hz), by frequency.
+
+    All directions but the last one have no voltage.
+    """
+    found = dict[complex, tuple[Complex, complex]]()
+    for frequency in frequencies:
+        omega = 2.0 * np.pi * frequency
+        laws, groups = _continued(operators.coefficients, values, (0.5 * omega, 1.5 * omega))
+        whole = operators.combinations(np.array([constants for _, constants in groups]))
+        projected = _Projected(laws, whole[:, :-1, :-1])
+        # A + d dA/dw is singular at the distance d to a mode.
+        sizes, vectors = np.linalg.eig(np.linalg.solve(*projected.at(omega)))
+        nearest = np.argsort(-np.abs(sizes))[:NEAREST]
+        omegas, states = projected.distinct([projected.mode_near(omega - 1.0 / sizes[k], vectors[:, k])
+                                             for k in nearest])
+        for one, state in zip(omegas.tolist(), states.T, strict=True):
+            if one.real > 0.0 and not any(abs(one / other - 1.0) < SAME for other in found):
+                drive = sum(law(one) * matrix[-1, :-1] for law, matrix in zip(laws, whole, strict=True)) @ state
+                found[one] = state, complex(drive)
+    ordered = sorted(found, key=lambda one: one.real)
+    return ReducedModes(np.array(ordered, dtype=complex), np.array([found[one][1] for one in ordered], dtype=complex),
+                        np.array([found[one][0] for one in ordered], dtype=complex).reshape(len(found), -1).T)
+
+
+def _continued(coefficients: Coefficients, values: Values, band: tuple[float, float]) -> tuple[list[Chebyshev], Groups]:
+    """Polynomials h_g(w) of all groups that continue them from a `band` (rad/s)."""
+    nodes = 0.5 * (band[0] + band[1]) + 0.5 * (band[1] - band[0]) * np.cos(
+        np.pi * (np.arange(2 * DEGREE) + 0.5) / (2 * DEGREE))
+    groups = coefficients.groups(nodes, values)
+    return [Chebyshev.fit(nodes, law, DEGREE, domain=list(band)) for law, _ in groups], groups
+
+
 @dataclass(frozen=True, eq=False)
 class _Continued:
     """The full model at complex frequencies: sum_g h_g(w) B_g with polynomials h_g."""
@@ -309,10 +359,7 @@ class _Continued:
     @classmethod
     def of(cls, system: System, band: tuple[float, float]) -> _Continued:
         """A model continued from the frequencies of a `band` (rad/s)."""
-        nodes = 0.5 * (band[0] + band[1]) + 0.5 * (band[1] - band[0]) * np.cos(
-            np.pi * (np.arange(2 * DEGREE) + 0.5) / (2 * DEGREE))
-        groups = system.operators.coefficients.groups(nodes, system.values)
-        return cls(system, [Chebyshev.fit(nodes, law, DEGREE, domain=list(band)) for law, _ in groups], groups)
+        return cls(system, *_continued(system.operators.coefficients, system.values, band))
 
     def images(self, omegas: Complex, states: Complex) -> Complex:
         """The products A(w_k) x_k (size - 1, n) for columns `states` (size - 1, n) without voltage."""

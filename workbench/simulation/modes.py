@@ -57,11 +57,11 @@ class ChipMode(Brief):
 
     ``order`` is the number of its waves around the axis; in a straight chip ``wavelength`` (m) is that along the
     channel, infinite for none. ``capacitance`` (F) is that of its branch in the equivalent circuit, and ``k_eff`` its
-    effective coupling factor beside the clamped capacitance; both are 0 for a mode of another order or wavelength.
-    ``energy`` and ``loss`` are shares by region, the largest first; losses at a contact count for its boundary.
-    ``crossings`` counts zeros of the leading component along the upper face of the region of most energy. ``shape`` (3,
-    N) are u_r, u_z and u_s at the nodes of :attr:`ChipModes.nodes`, real, at the phase of the largest one, in units of
-    it; NaN in fluids.
+    effective coupling factor beside the clamped capacitance C_0, k^2 = C / (C_0 + C); both are 0 for a mode of another
+    order or wavelength. ``energy`` and ``loss`` are shares by region, the largest first; losses at a contact count for
+    its boundary. ``crossings`` counts zeros of the leading component along the upper face of the region of most energy.
+    ``shape`` (3, N) are u_r, u_z and u_s at the nodes of :attr:`ChipModes.nodes`, real, at the phase of the largest
+    one, in units of it; NaN in fluids.
     """
 
     order: int
@@ -175,7 +175,12 @@ def modes(
         # All orders above the first have one model.
         operators = operators if operators and operators.terms == terms else assemble(posed.mesh, terms)
         system = System(operators, {**posed.values, ORDER: number})
-        found += _described(system, eigenmodes(system, span, least_q=least_q), number, is_straight, nodal, dofs)
+        solved = eigenmodes(system, span, least_q=least_q)
+        capacitances, clamped = np.zeros(solved.omega.size), 1.0
+        if number == 0.0:  # Modes of other orders are not driven.
+            capacitances = _capacitances(system, solved)
+            clamped = clamped_capacitance(operators, system.values, 0.5 * sum(span))
+        found += described(system, solved, capacitances, clamped, nodal=nodal, dofs=dofs, number=number)
     progress("modes", 1.0)
     return ChipModes(chip, device.state.name, span, least_q, tuple(sorted(found, key=lambda mode: mode.frequency)),
                  nodal)
@@ -205,17 +210,23 @@ def _checked(
     return tuple(dict.fromkeys((*map(float, orders), *(2.0 * math.pi / length for length in wavelengths))))
 
 
-def _described(
-    system: System, found: Eigenmodes, number: float, is_straight: bool, nodal: NodalMesh, dofs: NDArray[np.int64]
+def described(
+    system: System, found: Eigenmodes, capacitances: Real, clamped: float, *, nodal: NodalMesh,
+    dofs: NDArray[np.int64], number: float = 0.0,
 ) -> list[ChipMode]:
-    """The modes of one order with their energies, losses and couplings."""
+    """The modes of one order, or wave `number` (1/m), with their energies and losses.
+
+    `capacitances` (n,) in F are those of their branches, `clamped` (F) that of the electrodes. `nodal` and `dofs`
+    are of `workbench.acoustics.fields.section_nodes`.
+    """
     if not found.omega.size:
         return []
     operators, real = found.operators, found.omega.real
     coefficients = operators.coefficients(real, system.values)
     energy = energy_shares(operators, found.states, coefficients)
     loss = _loss_shares(operators, found.states, coefficients)
-    capacitances, couplings = _couplings(system, found) if number == 0.0 else np.zeros((2, real.size))
+    couplings = np.sqrt(capacitances / (clamped + capacitances))
+    is_straight = isinstance(nodal.measure, Straight)
     wavelength = 2.0 * math.pi / number if is_straight and number else math.inf
     components = nodal_components(operators, found.states, nodal, dofs)
     result = []
@@ -224,8 +235,8 @@ def _described(
         fields = {name: values[:, k] for name, values in components.items()}
         lost = _ordered({place: float(each[k]) for place, each in loss.items()})
         result.append(ChipMode(0 if is_straight else round(number), wavelength, float(frequency), float(q),
-                           float(capacitances[k]), float(couplings[k]), own, lost,
-                           _crossings(fields, nodal, next(iter(own))), _shape(fields)))
+                               float(capacitances[k]), float(couplings[k]), own, lost,
+                               _crossings(fields, nodal, next(iter(own))), _shape(fields)))
     return result
 
 
@@ -245,20 +256,21 @@ def _loss_shares(operators: FullOperators, states: Complex, coefficients: Comple
             for place, each in lost.items() if each.any()}
 
 
-def _couplings(system: System, found: Eigenmodes) -> tuple[Real, Real]:
-    """Capacitances C_n (F) and effective coupling factors of modes, (n,) each.
+def _capacitances(system: System, found: Eigenmodes) -> Real:
+    """Capacitances C_n (n,) in F of the branches of modes.
 
-    k^2 = C_n / (C_0 + C_n) with the clamped capacitance C_0 (`workbench.fem.capacitance`). The charge at 1 V has the
-    poles C_n w_n^2 / (w_n^2 - w^2) with C_n = (b^T x)^2 / w_n^2, b the electrode's column.
+    The charge at 1 V has the poles C_n w_n^2 / (w_n^2 - w^2) with C_n = (b^T x)^2 / w_n^2, b the electrode's column.
     """
     operators, omega = found.operators, found.omega
     electrode = np.zeros((operators.size, omega.size), dtype=complex)
     electrode[-1] = 1.0
     forms = operators.quadratic(electrode, found.states)
-    drives = (operators.coefficients(omega.real, system.values) * forms).sum(axis=1)
-    own = np.maximum(((drives / omega) ** 2).real, 0.0)
-    clamped = clamped_capacitance(operators, system.values, float(np.median(found.frequency)))
-    return own, np.sqrt(own / (clamped + own))
+    return branch_capacitances((operators.coefficients(omega.real, system.values) * forms).sum(axis=1), omega)
+
+
+def branch_capacitances(drives: Complex, omega: Complex) -> Real:
+    """Capacitances (n,) in F of the branches of modes with the charges `drives` (n,) of their states."""
+    return np.maximum(((drives / omega) ** 2).real, 0.0)
 
 
 def _shape(fields: Mapping[str, Complex]) -> Real:
