@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,8 @@ from workbench.fem.operators import assemble
 from workbench.fem.solve import System
 from workbench.files.errors import InputError
 from workbench.model.problem import build, fill
+from workbench.results.circuit import FittedNumber, FittedResonance
+from workbench.simulation.matched_modes import matched_modes
 
 DISC = """
 [chip]
@@ -186,3 +189,69 @@ def test_the_report_names_the_mode_of_each_peak(tmp_path: Path) -> None:
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "What is each peak?" in page
     assert first["mode"]["words"] in page
+
+
+@pytest.fixture
+def recording(disc: wb.Chip, tmp_path: Path) -> Path:
+    """The spectrum of a disc 1 % thinner, with a side peak at its mode of order 1 of highest Q."""
+    thinner = DISC.replace('"2 mm"', '"1.98 mm"').replace('"0.95 MHz", "1.08 MHz"', '"0.96 MHz", "1.09 MHz"')
+    (tmp_path / "thinner.toml").write_text(thinner, encoding="utf-8")
+    spectrum = wb.simulate(wb.read_chip(tmp_path / "thinner.toml"), points=1001, accuracy=1e-2).spectrum
+    u = spectrum.frequency / SIDE_PEAK
+    side = 2j * np.pi * spectrum.frequency * 0.4e-12 / (1.0 - u**2 + 1j * u / 400.0)
+    path = tmp_path / "recording.csv"
+    wb.write_spectrum(replace(spectrum, impedance=1.0 / (spectrum.admittance + side)), path)
+    return path
+
+
+#: Frequency (Hz) of a further peak of the recording, without a driven mode.
+SIDE_PEAK = 1.0255e6
+
+
+def test_a_recording_beside_the_modes(
+    disc: wb.Chip, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "out"
+    assert main(["modes", str(tmp_path / "disc.toml"), "--orders", "0,1", "--accuracy", "1 %", "--draw", "0",
+                 "--recording", str(recording), "-o", str(folder)]) == 0
+    record = json.loads((folder / "modes.json").read_text(encoding="utf-8"))
+    assert record["band_hz"] == [0.96e6, 1.08e6]
+    rows = record["recording"]["resonances"]
+    known = wb.modes(disc, band=(0.96e6, 1.08e6), accuracy=1e-2)
+    pairs = [row for row in rows if row["recorded"] and row["mode"]]
+    assert [row["mode"]["frequency_hz"] for row in pairs] == pytest.approx(
+        [mode.frequency for mode in known.modes if mode.is_driven])
+    for row in pairs:
+        assert 0.0 < row["relative_difference_of_frequency"] < 0.011
+        assert row["recorded"]["frequency_hz"][0] == pytest.approx(
+            row["mode"]["frequency_hz"] * (1.0 + row["relative_difference_of_frequency"]))
+        assert row["q_ratio"] == pytest.approx(1.0, abs=0.1)
+    (alone,) = [row for row in rows if row["mode"] is None]
+    assert alone["recorded"]["frequency_hz"][0] == pytest.approx(SIDE_PEAK, rel=1e-4)
+    assert alone["nearest"]["order"] == 1
+    printed = capsys.readouterr().out
+    assert "recording.csv beside them" in printed
+    assert "no driven mode matches" in printed
+
+
+def test_pairs_are_the_nearest_ones_and_a_mode_may_have_no_partner() -> None:
+    """Frequencies shifted by 0.8 %, the spacing of two modes: couplings decide."""
+    def resonance(frequency: float, k_eff: float) -> FittedResonance:
+        frequencies, couplings, one = (FittedNumber(each, 0.0) for each in (frequency, k_eff, 1.0))
+        return FittedResonance(frequencies, one, couplings, one, one, one, one)
+
+    def mode(frequency: float, k_eff: float) -> wb.ChipMode:
+        return wb.ChipMode(0, math.inf, frequency, 100.0, 0.0, k_eff, {"transducer": 1.0}, {}, 0, np.zeros((3, 0)))
+
+    strong, weak, far = mode(1.000e6, 0.4), mode(1.008e6, 0.05), mode(1.1e6, 0.2)
+    found = matched_modes([resonance(1.008e6, 0.4), resonance(1.016e6, 0.05)], [strong, weak, far, mode(1.016e6, 0.0)])
+    assert [each.mode for each in found] == [strong, weak, far]
+    assert found[2].recorded is None
+    assert found[2].difference is None
+    assert found[2].words.startswith("not in the recording")
+    (alone,) = matched_modes([resonance(1.2e6, math.nan)], [])
+    assert alone.mode is None
+    assert alone.words == "no driven mode matches"
+    assert alone.q_ratio is None
+    (near,) = matched_modes([resonance(1.101e6, math.nan)], [far])
+    assert near.mode is far

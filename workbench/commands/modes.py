@@ -10,14 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import read_chip
-from workbench.commands.parsed_options import model_options, output_folder
-from workbench.commands.terminal import print_line, print_table, progress_bars
+from workbench.commands.parsed_options import common_band, model_options, output_folder, reading_option
+from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
 from workbench.files.errors import InputError
 from workbench.files.ownership import Outputs
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_json
 from workbench.render.sections import draw_mode
-from workbench.report.modes import modes_record, modes_table
+from workbench.report.modes import matched_record, matched_table, modes_record, modes_table
+from workbench.results.resonances import fit_resonances
+from workbench.simulation.matched_modes import matched_modes
 from workbench.simulation.modes import ChipModes, modes
 
 if TYPE_CHECKING:
@@ -36,14 +38,29 @@ def run_modes(options: argparse.Namespace, console: Console) -> int:
                    for each in options.wavelengths.split(",") if each.strip()]
     if options.draw < 0:
         raise InputError("command line", "--draw", options.draw, "a number of pictures, 0 or more")
+    reading, recorded, band = None, (), model.band
+    if options.recording is not None:
+        reading = reading_option(options, options.recording, console)
+        band = common_band(options, band, reading.spectrum.frequency)
+        recorded = fit_resonances(reading.spectrum, band=band).resonances
     folder = output_folder(options, OUTPUTS)
     with progress_bars(console) as show:
-        found = modes(chip, name, orders=orders, wavelengths=wavelengths, band=model.band, least_q=options.least_q,
+        found = modes(chip, name, orders=orders, wavelengths=wavelengths, band=band, least_q=options.least_q,
                       accuracy=model.accuracy, registry=model.registry, progress=partial(show, name))
         show(name, "pictures", 1.0)
-        paths = [write_json(folder / "modes.json", modes_record(found)), *_drawn(found, options.draw, folder)]
+        matched = matched_modes(recorded, found.modes) if reading is not None else ()
+        content = modes_record(found)
+        if reading is not None:
+            content["recording"] = {"file": str(options.recording), "read_as": reading.read_as or None,
+                                    "findings": [finding.message for finding in reading.findings],
+                                    "resonances": matched_record(matched)}
+        paths = [write_json(folder / "modes.json", content), *_drawn(found, options.draw, folder)]
         show(name, "done", 1.0)
     print_table(f"{chip.name}, {name}: {len(found.modes)} modes", modes_table(found))
+    if reading is not None:
+        print_table(f"{options.recording.name} beside them", matched_table(matched))
+        for finding in reading.findings:
+            say_finding(finding.message, console)
     for path in paths:
         print_line(str(path))
     return 0
