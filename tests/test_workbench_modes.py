@@ -244,11 +244,13 @@ def test_pairs_are_the_nearest_ones_and_a_mode_may_have_no_partner() -> None:
         return wb.ChipMode(0, math.inf, frequency, 100.0, 0.0, k_eff, {"transducer": 1.0}, {}, 0, np.zeros((3, 0)))
 
     strong, weak, far = mode(1.000e6, 0.4), mode(1.008e6, 0.05), mode(1.1e6, 0.2)
-    found = matched_modes([resonance(1.008e6, 0.4), resonance(1.016e6, 0.05)], [strong, weak, far, mode(1.016e6, 0.0)])
+    found = matched_modes([resonance(1.016e6, 0.05), resonance(1.008e6, 0.4)], [strong, weak, far, mode(1.016e6, 0.0)])
     assert [each.mode for each in found] == [strong, weak, far]
     assert found[2].recorded is None
     assert found[2].difference is None
     assert found[2].words.startswith("not in the recording")
+    (pair,) = (each for each in matched_modes([resonance(1.008e6, 0.4)], [strong, weak]) if each.recorded)
+    assert pair.mode is strong
     (alone,) = matched_modes([resonance(1.2e6, math.nan)], [])
     assert alone.mode is None
     assert alone.words == "no driven mode matches"
