@@ -241,7 +241,8 @@ def test_pairs_are_the_nearest_ones_and_a_mode_may_have_no_partner() -> None:
         return FittedResonance(frequencies, one, couplings, one, one, one, one)
 
     def mode(frequency: float, k_eff: float) -> wb.ChipMode:
-        return wb.ChipMode(0, math.inf, frequency, 100.0, 0.0, k_eff, {"transducer": 1.0}, {}, 0, np.zeros((3, 0)))
+        return wb.ChipMode(0, math.inf, frequency, 100.0, 0.0, k_eff, {"transducer": 1.0}, {}, 0, False,
+                           np.zeros((3, 0)))
 
     strong, weak, far = mode(1.000e6, 0.4), mode(1.008e6, 0.05), mode(1.1e6, 0.2)
     found = matched_modes([resonance(1.016e6, 0.05), resonance(1.008e6, 0.4)], [strong, weak, far, mode(1.016e6, 0.0)])
@@ -257,3 +258,26 @@ def test_pairs_are_the_nearest_ones_and_a_mode_may_have_no_partner() -> None:
     assert alone.q_ratio is None
     (near,) = matched_modes([resonance(1.101e6, math.nan)], [far])
     assert near.mode is far
+
+
+@pytest.mark.parametrize("symmetry", ["even", "odd"])
+def test_a_half_has_the_zeros_of_the_whole_width(tmp_path: Path, symmetry: str) -> None:
+    text = DISC.replace("[[layers]]", f'geometry = "straight"\nlength = "10 mm"\nsymmetry = "{symmetry}"\n[[layers]]')
+    text = text.replace('radius = "5 mm"', 'width = "7 mm"').replace('live = "top"', LIVE[symmetry])
+    found = []
+    for name, content in (("half", text), ("whole", text.replace(f'"{symmetry}"', '"none"'))):
+        (tmp_path / f"{name}.toml").write_text(content, encoding="utf-8")
+        found.append(wb.modes(wb.read_chip(tmp_path / f"{name}.toml"), accuracy=1e-2).modes)
+    half, whole = found
+    assert len(half) >= 2
+    assert len(whole) > len(half)
+    for mode in half:
+        same = min(whole, key=lambda other: abs(other.frequency - mode.frequency))
+        assert same.frequency == pytest.approx(mode.frequency, rel=1e-4)  # the meshes differ
+        assert mode.crossings == same.crossings
+        assert mode.words.startswith(f"uniform along the channel, {same.crossings} zero")
+        assert "along the width of the transducer" in mode.words
+
+
+#: Electrodes of a straight plate by its symmetry.
+LIVE = {"even": 'live = "top"', "odd": 'live = "top", live_inner_half_width = "0.2 mm"'}

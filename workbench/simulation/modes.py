@@ -59,7 +59,8 @@ class ChipMode(Brief):
     channel, infinite for none. ``capacitance`` (F) is that of its branch in the equivalent circuit, and ``k_eff`` its
     effective coupling factor beside the clamped capacitance C_0, k^2 = C / (C_0 + C); both are 0 for a mode of another
     order or wavelength. ``energy`` and ``loss`` are shares by region, the largest first; losses at a contact count for
-    its boundary. ``crossings`` counts zeros of the leading component along the upper face of the region of most energy.
+    its boundary. ``crossings`` counts zeros of the leading component along the upper face of the region of most energy:
+    along the radius, or across the whole width of a section that ``is_straight``.
     ``shape`` (3, N) are u_r, u_z and u_s at the nodes of :attr:`ChipModes.nodes`, real, at the phase of the largest
     one, in units of it; NaN in fluids.
     """
@@ -73,6 +74,7 @@ class ChipMode(Brief):
     energy: Mapping[str, float]
     loss: Mapping[str, float]
     crossings: int
+    is_straight: bool
     shape: Real
 
     @property
@@ -85,9 +87,11 @@ class ChipMode(Brief):
         """The mode in words, without its frequency."""
         leading = [f"{100.0 * share:.0f} % in the {plain_words(region)}" for region, share in self.energy.items()
                    if share >= LEAST_SHARE][:NAMED]
-        zeros = f"{self.crossings} zero{'' if self.crossings == 1 else 's'} across the {next(iter(self.energy))}"
-        is_along = math.isfinite(self.wavelength)
-        along = f"wavelength {1e3 * self.wavelength:.3g} mm" if is_along else f"order {self.order}"
+        way = "width" if self.is_straight else "radius"
+        zeros = (f"{self.crossings} zero{'' if self.crossings == 1 else 's'} along the {way} of the "
+                 f"{plain_words(next(iter(self.energy)))}")
+        along = f"order {self.order}" if not self.is_straight else "uniform along the channel" if math.isinf(
+            self.wavelength) else f"wavelength {1e3 * self.wavelength:.3g} mm"
         coupling = f"k_eff {self.k_eff:.3f}" if self.is_driven else "not driven by the electrodes"
         return ", ".join((along, zeros, *leading, coupling))
 
@@ -236,7 +240,7 @@ def described(
         lost = _ordered({place: float(each[k]) for place, each in loss.items()})
         result.append(ChipMode(0 if is_straight else round(number), wavelength, float(frequency), float(q),
                                float(capacitances[k]), float(couplings[k]), own, lost,
-                               _crossings(fields, nodal, next(iter(own))), _shape(fields)))
+                               _crossings(fields, nodal, next(iter(own))), is_straight, _shape(fields)))
     return result
 
 
@@ -283,14 +287,24 @@ def _shape(fields: Mapping[str, Complex]) -> Real:
 
 
 def _crossings(fields: Mapping[str, Complex], nodal: NodalMesh, region: str) -> int:
-    """Number of zeros of the leading component on a region's upper face."""
+    """Number of zeros of the leading component on a region's upper face.
+
+    They are along the radius, or across the whole width of a section that shows one half.
+    """
     nodes = nodal.nodes_of([region])
     points = nodal.points[nodes]
     top = points[:, 1] >= points[:, 1].max() - AT_FACE * np.ptp(points[:, 1])
     nodes = nodes[top][np.argsort(points[top, 0])]
-    lines = [values[nodes] for name, values in fields.items() if name != "phi" and np.isfinite(values[nodes]).all()]
-    leading = max(lines, key=lambda values: float(np.sum(np.abs(values) ** 2)))
+    lines = {name: values[nodes] for name, values in fields.items()
+             if name != "phi" and np.isfinite(values[nodes]).all()}
+    name, leading = max(lines.items(), key=lambda each: float(np.sum(np.abs(each[1]) ** 2)))
     # Losses leave a small part in quadrature.
     real = (leading * np.exp(-0.5j * np.angle(np.sum(leading**2)))).real
     seen = real[np.abs(real) > SEEN * np.abs(real).max()]
-    return int(np.sum(seen[1:] * seen[:-1] < 0.0))
+    count = int(np.sum(seen[1:] * seen[:-1] < 0.0))
+    if not isinstance(nodal.measure, Straight) or not nodal.measure.mirror:
+        return count
+    # In the image, a displacement across has the other sign; an odd field is zero in the middle.
+    is_odd = nodal.measure.mirror * (-1 if name == "u_r" else 1) < 0
+    reaches = nodal.points[nodes[0], 0] <= nodal.points[:, 0].min() + AT_FACE * np.ptp(nodal.points[:, 0])
+    return 2 * count + int(is_odd and reaches)
