@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import workbench as wb
 from workbench.cli import main
@@ -17,6 +18,8 @@ from workbench.fem.operators import assemble
 from workbench.fem.solve import System
 from workbench.files.errors import InputError
 from workbench.model.problem import build, fill
+from workbench.render.mode_above import draw_mode_above, has_view_above
+from workbench.render.sections import animate_mode
 from workbench.results.circuit import FittedNumber, FittedResonance
 from workbench.simulation.matched_modes import matched_modes
 
@@ -173,6 +176,8 @@ def test_a_peak_of_the_energy_is_that_of_a_mode_with_energy_in_the_liquid() -> N
     assert [peak.frequency for peak in peaks] == sorted(peak.frequency for peak in run.operating.peaks)
     highest = next(peak for peak in peaks if peak.frequency == run.operating.peaks[0].frequency)
     assert highest.mode.liquid > 0.3
+    assert np.nanmax(np.abs(highest.mode.pressure)) == pytest.approx(1.0)
+    assert np.array_equal(np.isnan(highest.mode.pressure), np.isfinite(highest.mode.shape[0]))
     assert abs(highest.mode.frequency / highest.frequency - 1.0) < 1.0 / highest.mode.q
 
 
@@ -242,7 +247,7 @@ def test_pairs_are_the_nearest_ones_and_a_mode_may_have_no_partner() -> None:
 
     def mode(frequency: float, k_eff: float) -> wb.ChipMode:
         return wb.ChipMode(0, math.inf, frequency, 100.0, 0.0, k_eff, {"transducer": 1.0}, {}, 0, False,
-                           np.zeros((3, 0)))
+                           np.zeros((3, 0)), np.zeros(0))
 
     strong, weak, far = mode(1.000e6, 0.4), mode(1.008e6, 0.05), mode(1.1e6, 0.2)
     found = matched_modes([resonance(1.016e6, 0.05), resonance(1.008e6, 0.4)], [strong, weak, far, mode(1.016e6, 0.0)])
@@ -281,3 +286,33 @@ def test_a_half_has_the_zeros_of_the_whole_width(tmp_path: Path, symmetry: str) 
 
 #: Electrodes of a straight plate by its symmetry.
 LIVE = {"even": 'live = "top"', "odd": 'live = "top", live_inner_half_width = "0.2 mm"'}
+
+
+def test_pictures_from_above_and_of_a_cycle(tmp_path: Path) -> None:
+    """The half of a plate that is drawn is mirrored; a cycle has its largest displacement at the beginning."""
+    (tmp_path / "disc.toml").write_text(DISC, encoding="utf-8")
+    found = wb.modes(wb.read_chip(tmp_path / "disc.toml"), orders=(1, 2), accuracy=1e-2)
+    for order, sign in ((1, -1.0), (2, 1.0)):
+        mode = next(each for each in found.modes if each.order == order)
+        assert has_view_above(mode)
+        picture = draw_mode_above(found.nodes, mode, tmp_path / f"above_{order}.png")
+        # Red less blue, within the circle.
+        red = _dots(picture)[330:700, 350:740]
+        assert np.corrcoef(red.ravel(), (sign * red[:, ::-1]).ravel())[0, 1] > 0.98
+    cycle = animate_mode(found.nodes, mode, tmp_path / "cycle.gif")
+    with Image.open(cycle) as moving:
+        frames = []
+        for frame in range(moving.n_frames):
+            moving.seek(frame)
+            rgb = np.asarray(moving.convert("RGB"), dtype=float)
+            frames.append((rgb[..., 0] - rgb[..., 2])[60:200, 80:1000])
+    assert len(frames) == 16
+    strength = [float(np.abs(frame).sum()) for frame in frames]
+    assert strength[4] < 0.05 * strength[0]
+    assert np.corrcoef(frames[0].ravel(), -frames[8].ravel())[0, 1] > 0.9
+
+
+def _dots(picture: Path) -> np.ndarray:
+    """Red less blue of a picture."""
+    rgb = np.asarray(Image.open(picture).convert("RGB"), dtype=float)
+    return rgb[..., 0] - rgb[..., 2]

@@ -16,7 +16,8 @@ from workbench.files.errors import InputError
 from workbench.files.ownership import Outputs
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_json
-from workbench.render.sections import draw_mode
+from workbench.render.mode_above import draw_mode_above, has_view_above
+from workbench.render.sections import animate_mode, draw_mode
 from workbench.report.modes import matched_record, matched_table, modes_record, modes_table
 from workbench.results.resonances import fit_resonances
 from workbench.simulation.matched_modes import matched_modes
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 #: Files of a run.
-OUTPUTS = Outputs("modes", names=("modes.json", "mode_*.png"))
+OUTPUTS = Outputs("modes", names=("modes.json", "mode_*.png", "mode_*.gif"))
 
 
 def run_modes(options: argparse.Namespace, console: Console) -> int:
@@ -54,7 +55,8 @@ def run_modes(options: argparse.Namespace, console: Console) -> int:
             content["recording"] = {"file": str(options.recording), "read_as": reading.read_as or None,
                                     "findings": [finding.message for finding in reading.findings],
                                     "resonances": matched_record(matched)}
-        paths = [write_json(folder / "modes.json", content), *_drawn(found, options.draw, folder)]
+        paths = [write_json(folder / "modes.json", content),
+                 *_drawn(found, options.draw, folder, animated=options.animate)]
         show(name, "done", 1.0)
     print_table(f"{chip.name}, {name}: {len(found.modes)} modes", modes_table(found))
     if reading is not None:
@@ -78,9 +80,14 @@ def _order(text: str) -> int:
     return int(text)
 
 
-def _drawn(found: ChipModes, most: int, folder: Path) -> Iterator[Path]:
+def _drawn(found: ChipModes, most: int, folder: Path, *, animated: bool) -> Iterator[Path]:
     """Pictures of the modes with most coupling, or energy in the liquid."""
     leading = sorted(found.modes, key=lambda mode: -max(mode.k_eff, mode.liquid))[:most]
     for mode in sorted(leading, key=lambda mode: mode.frequency):
         kind = f"{1e3 * mode.wavelength:.6g}_mm" if math.isfinite(mode.wavelength) else f"order_{mode.order}"
-        yield draw_mode(found.nodes, mode, folder / f"mode_{mode.frequency / 1e6:.6f}_MHz_{kind}.png")
+        name = f"mode_{mode.frequency / 1e6:.6f}_MHz_{kind}"
+        yield draw_mode(found.nodes, mode, folder / f"{name}.png")
+        if has_view_above(mode):
+            yield draw_mode_above(found.nodes, mode, folder / f"{name}_above.png")
+        if animated:
+            yield animate_mode(found.nodes, mode, folder / f"{name}.gif")

@@ -176,6 +176,7 @@ def _modes(sub: argparse.ArgumentParser) -> None:
     _with_recording(sub)
     sub.add_argument("--draw", type=int, default=6, metavar="N", help="modes to draw, those of the largest coupling or "
                      "energy in the liquid (default 6)")
+    sub.add_argument("--animate", action="store_true", help="a cycle of each drawn mode too, as a GIF (default: not)")
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 

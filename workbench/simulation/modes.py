@@ -62,7 +62,7 @@ class ChipMode(Brief):
     its boundary. ``crossings`` counts zeros of the leading component along the upper face of the region of most energy:
     along the radius, or across the whole width of a section that ``is_straight``.
     ``shape`` (3, N) are u_r, u_z and u_s at the nodes of :attr:`ChipModes.nodes`, real, at the phase of the largest
-    one, in units of it; NaN in fluids.
+    one, in units of it; NaN in fluids. ``pressure`` (N,) is that at the same phase, over its maximum; NaN in solids.
     """
 
     order: int
@@ -76,6 +76,7 @@ class ChipMode(Brief):
     crossings: int
     is_straight: bool
     shape: Real
+    pressure: Real
 
     @property
     def liquid(self) -> float:
@@ -240,7 +241,7 @@ def described(
         lost = _ordered({place: float(each[k]) for place, each in loss.items()})
         result.append(ChipMode(0 if is_straight else round(number), wavelength, float(frequency), float(q),
                                float(capacitances[k]), float(couplings[k]), own, lost,
-                               _crossings(fields, nodal, next(iter(own))), is_straight, _shape(fields)))
+                               _crossings(fields, nodal, next(iter(own))), is_straight, *_shape(fields)))
     return result
 
 
@@ -277,13 +278,15 @@ def branch_capacitances(drives: Complex, omega: Complex) -> Real:
     return np.maximum(((drives / omega) ** 2).real, 0.0)
 
 
-def _shape(fields: Mapping[str, Complex]) -> Real:
-    """Displacement (3, N) at the phase of its maximum, over this maximum."""
+def _shape(fields: Mapping[str, Complex]) -> tuple[Real, Real]:
+    """Displacement (3, N) at the phase of its maximum, over this maximum, and the pressure (N,) over its own."""
     moved = np.stack([fields[name] for name in ("u_r", "u_z", "u_s")])
     # Modes of order 0 do not move along the third direction.
     moved[2, np.isnan(moved[2]) & ~np.isnan(moved[0])] = 0.0
     largest = moved.ravel()[np.nanargmax(np.abs(moved))]
-    return np.asarray((moved / largest).real)
+    pressure = (fields["p"] / largest).real
+    highest = np.abs(pressure).max(where=np.isfinite(pressure), initial=0.0)
+    return np.asarray((moved / largest).real), pressure / (highest or 1.0)
 
 
 def _crossings(fields: Mapping[str, Complex], nodal: NodalMesh, region: str) -> int:
