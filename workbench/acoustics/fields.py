@@ -110,9 +110,10 @@ def fields(problem: Problem, operators: FullOperators, solution: Solution, drive
 def nodal_components(
     operators: FullOperators, state: Complex, mesh: NodalMesh, dofs: NDArray[np.int64]
 ) -> dict[str, Complex]:
-    """The components of a `state` (size,) at the nodes (N,), or of states (size, n) at the nodes (N, n).
+    """The components of a `state` at the nodes, or NaN.
 
-    `mesh` and `dofs` (N,) are those of :func:`section_nodes`. A component is NaN in regions without it.
+    A state (size,) has them as (N,), states (size, n) as (N, n). `mesh` and `dofs` (N,) are those of
+    :func:`section_nodes`. A component is NaN in regions without it.
     """
     several = state.shape[1:]
     padded = np.concatenate([state, np.zeros((1, *several))])

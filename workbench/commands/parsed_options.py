@@ -170,7 +170,9 @@ def reading_option(options: argparse.Namespace, recording: Path, console: Consol
 def common_band(
     options: argparse.Namespace, band: tuple[float, float], recorded: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """The overlap (Hz) of the requested band and the frequencies (n,) of a recording.
+    """The overlap (Hz) of the requested band and a recording.
+
+    `recorded` (n,) are its frequencies (Hz).
 
     Raises:
         InputError: fewer than two of them are in the band.

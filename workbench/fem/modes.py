@@ -2,8 +2,8 @@
 
 The electrodes are short-circuited. The matrix A(w) of a model has any powers of w in it (fluids, boundary layers, laws
 of loss), so its modes are solutions of a nonlinear eigenvalue problem A(w) x = 0. With its rows of the pressure times
-w^2, the matrix of lossy solids and ideal fluids is linear in w^2, so Arnoldi iterations with one factorisation at a
-real frequency give all modes within a circle about it, all but for boundary layers and laws of loss. The problem
+w^2, the matrix of lossy solids and ideal fluids is linear in w^2, so block Arnoldi iterations with one factorisation at
+a real frequency give all modes within a circle about it, all but for boundary layers and laws of loss. The problem
 projected on these vectors is solved exactly by Newton's method, and the vectors are extended by residual inverse
 iteration (Neumaier 1985, SIAM J. Numer. Anal. 22, 914) until the frequencies stay. Coefficients are continued from the
 real axis to complex frequencies by Chebyshev polynomials. Circles are added until they cover the band.
@@ -204,9 +204,10 @@ def _starts(system: System, frequency: float, wanted: float, least_q: float) -> 
 
 
 def _shifted_inverse(system: System, factor: Factor, frequency: float) -> Callable[[Complex], Complex]:
-    """The product of A(w)^-1 and the change of A over a :data:`STEP`, the rows of the pressure times w^2.
+    """The operator whose largest eigenvalues are the nearest modes.
 
-    It takes and returns scaled columns (size - 1, k). Its eigenvalues are (w^2 - w'^2) / (w_n^2 - w^2).
+    It is A(w)^-1 times the change of A over a :data:`STEP`, with the rows of the pressure times w^2. It takes and
+    returns scaled columns (size - 1, k). Its eigenvalues are (w^2 - w'^2) / (w_n^2 - w^2).
     """
     further = frequency * (1.0 + STEP)
     change, free, growth = system.change(frequency, further), factor.scale.size, (1.0 + STEP) ** 2
@@ -227,7 +228,10 @@ def _shifted_inverse(system: System, factor: Factor, frequency: float) -> Callab
 
 @dataclass(frozen=True, eq=False)
 class _Ritz:
-    """Approximate eigenvalues ``sizes`` (n,) of an operator, their relative errors (n,), and vectors space @ inner."""
+    """Approximate eigenvalues of an operator.
+
+    They are ``sizes`` (n,) with relative ``errors`` (n,); the vectors are space @ inner.
+    """
 
     sizes: Complex
     errors: Real
@@ -319,7 +323,7 @@ def _inside(omegas: Complex, band: tuple[float, float], least_q: float, margin: 
 
 
 def reduced_modes(operators: ReducedOperators, values: Values, frequencies: Iterable[float]) -> ReducedModes:
-    """The modes of a reduced model nearest to each of some frequencies (Hz), by frequency.
+    """The modes of a reduced model nearest to some `frequencies` (Hz).
 
     All directions but the last one have no voltage.
     """
@@ -365,7 +369,10 @@ class _Continued:
         return cls(system, *_continued(system.operators.coefficients, system.values, band))
 
     def images(self, omegas: Complex, states: Complex) -> Complex:
-        """The products A(w_k) x_k (size - 1, n) for columns `states` (size - 1, n) without voltage."""
+        """The products A(w_k) x_k (size - 1, n).
+
+        `states` (size - 1, n) are columns without voltage.
+        """
         states = np.vstack([states, np.zeros(omegas.size)])
         result = np.zeros(states.shape, dtype=complex)
         for law, matrix in zip(self.laws, self.system.groups, strict=True):

@@ -1,4 +1,4 @@
-"""A mode that varies around the axis, or along a channel, as seen from above."""
+"""Modes around the axis, or along a channel, as seen from above."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ _BELOW = 1e-6
 
 
 def draw_mode_above(mesh: NodalMesh, mode: ChipMode, path: Path) -> Path:
-    """Draw the displacement upwards on the upper face of the region with most energy; in a fluid, its pressure.
+    """Draw a mode on the upper face of its leading region.
 
-    A channel is drawn over one wavelength. Writes `path`.
+    The region is that of most energy. The picture shows the displacement upwards; in a fluid, the pressure. A channel
+    is drawn over one wavelength. Writes `path`.
     """
     from matplotlib.patches import Circle
 
@@ -71,7 +72,10 @@ def has_view_above(mode: ChipMode) -> bool:
 
 
 def _on_face(mesh: NodalMesh, values: FloatArray, region: str, across: FloatArray) -> FloatArray:
-    """Nodal `values` (N,) on the upper face of a region at places `across` the section; NaN beside it."""
+    """Nodal `values` (N,) on the upper face of a region.
+
+    They are at places `across` the section; NaN beside the region.
+    """
     points = mesh.points[mesh.nodes_of([region])]
     left, right = points[:, 0].min(), points[:, 0].max()
     low, high = points[:, 1].min(), points[:, 1].max()

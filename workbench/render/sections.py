@@ -99,7 +99,10 @@ def draw_axial_displacement(fields: Fields, path: Path) -> Path:
 
 
 def draw_mode(mesh: NodalMesh, mode: ChipMode, path: Path) -> Path:
-    """Draw the leading displacement of a `mode` in solids, and the pressure in fluids. Writes `path`."""
+    """Draw a `mode` in the section. Writes `path`.
+
+    It is the leading displacement in solids, and the pressure in fluids.
+    """
     drawing = _DrawnMode.of(mesh, mode)
     figure, axes = drawing.framed()
     drawing.show(axes, 1.0)
@@ -187,7 +190,10 @@ class _DrawnMode:
         return _show_dots(axes, self.window, dots)
 
     def moved_edges(self, now: float) -> list[FloatArray]:
-        """The edges of regions (2, 2; mm), moved by the displacement times `now`, mirrored too."""
+        """The edges of regions (2, 2; mm), mirrored too.
+
+        They are moved by the displacement times `now`.
+        """
         pairs = [np.stack([nodes[:, :-1], nodes[:, 1:]], axis=2).reshape(-1, 2) for nodes in (
             edge_nodes(self.mesh, side, cells) for side, cells in borders(self.mesh, self.mesh.region))]
         ends = np.concatenate(pairs)

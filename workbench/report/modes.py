@@ -31,7 +31,10 @@ def matched_table(matched: Sequence[MatchedMode]) -> TextTable:
 
 
 def matched_record(matched: Sequence[MatchedMode]) -> list[dict[str, Any]]:
-    """The resonances of a recording, with standard errors, beside the modes of the model; null without a partner."""
+    """The resonances of a recording beside the modes of the model.
+
+    The recorded numbers have standard errors. A partner that is missing is null.
+    """
     mode = "{ order frequency_hz q k_eff words }"
     found: list[dict[str, Any]] = record(
         tuple(matched), "recorded { frequency_hz q k_eff } relative_difference_of_frequency=difference q_ratio "

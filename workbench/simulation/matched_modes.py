@@ -16,16 +16,20 @@ from workbench.simulation.modes import ChipMode
 #: Relative difference of frequencies, and ratio of coupling factors, that count equally.
 DIFFERENCE, RATIO = 0.01, 3.0
 
+#: Least Q k^2 of a mode without a partner that is listed: its peak of the conductance over w C_0. Modes of less are no
+#: peaks of a recording.
+VISIBLE = 0.1
+
 #: Largest distance of a pair, in units of these. Doubled, modes 6 % apart are one.
 FARTHEST = 3.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MatchedMode(Brief):
-    """A resonance of a recording and the driven mode of the model, either of them None without a partner.
+    """A resonance of a recording and the driven mode of the model.
 
-    ``beside`` is the mode nearest to a resonance without a partner, of any order; None if there is no mode within
-    :data:`DIFFERENCE`.
+    Either of them is None without a partner. ``beside`` is the mode nearest to a resonance without a partner, of any
+    order; None if there is no mode within :data:`DIFFERENCE`.
     """
 
     recorded: FittedResonance | None
@@ -62,10 +66,11 @@ class MatchedMode(Brief):
 
 
 def matched_modes(recorded: Sequence[FittedResonance], modes: Sequence[ChipMode]) -> tuple[MatchedMode, ...]:
-    """Pairs of resonances and driven modes, and those without a partner, by frequency.
+    """Pairs of resonances and driven modes, by frequency.
 
-    The sum of squares of the distances of all pairs is smallest. A distance has the relative difference of frequencies
-    over :data:`DIFFERENCE`, and the logarithm of the ratio of coupling factors over that of :data:`RATIO`.
+    Those without a partner are listed too, modes only above :data:`VISIBLE`. The sum of squares of the distances of all
+    pairs is smallest. A distance has the relative difference of frequencies over :data:`DIFFERENCE`, and the logarithm
+    of the ratio of coupling factors over that of :data:`RATIO`.
     """
     driven = [mode for mode in modes if mode.is_driven]
     apart = np.array([[_distance(one, mode) for mode in driven] for one in recorded]).reshape(len(recorded), -1)
@@ -73,12 +78,16 @@ def matched_modes(recorded: Sequence[FittedResonance], modes: Sequence[ChipMode]
     partners = {int(i): int(j) for i, j in zip(rows, columns, strict=True) if apart[i, j] < FARTHEST}
     found = [MatchedMode(one, driven[partners[i]]) if i in partners else MatchedMode(one, None, _beside(one, modes))
              for i, one in enumerate(recorded)]
-    found += [MatchedMode(None, mode) for j, mode in enumerate(driven) if j not in partners.values()]
+    found += [MatchedMode(None, mode) for j, mode in enumerate(driven) if j not in partners.values()
+              and mode.q * mode.k_eff**2 >= VISIBLE]
     return tuple(sorted(found, key=lambda each: each.frequency))
 
 
 def _distance(recorded: FittedResonance, mode: ChipMode) -> float:
-    """The distance of a pair; that of frequencies alone if the recorded coupling is within two standard errors of 0."""
+    """The distance of a pair.
+
+    It is that of frequencies alone if the recorded coupling is within two standard errors of 0.
+    """
     across = math.log(recorded.frequency.value / mode.frequency) / DIFFERENCE
     coupling = recorded.k_eff
     if not coupling.value > 2.0 * coupling.standard_error:

@@ -219,10 +219,11 @@ def described(
     system: System, found: Eigenmodes, capacitances: Real, clamped: float, *, nodal: NodalMesh,
     dofs: NDArray[np.int64], number: float = 0.0,
 ) -> list[ChipMode]:
-    """The modes of one order, or wave `number` (1/m), with their energies and losses.
+    """The modes of one order with their energies and losses.
 
-    `capacitances` (n,) in F are those of their branches, `clamped` (F) that of the electrodes. `nodal` and `dofs`
-    are of `workbench.acoustics.fields.section_nodes`.
+    The order is the `number`, a wave number (1/m) in a straight chip. `capacitances` (n,) in F are those of their
+    branches, `clamped` (F) that of the electrodes. `nodal` and `dofs` are of
+    `workbench.acoustics.fields.section_nodes`.
     """
     if not found.omega.size:
         return []
@@ -274,12 +275,18 @@ def _capacitances(system: System, found: Eigenmodes) -> Real:
 
 
 def branch_capacitances(drives: Complex, omega: Complex) -> Real:
-    """Capacitances (n,) in F of the branches of modes with the charges `drives` (n,) of their states."""
+    """Capacitances (n,) in F of the branches of modes.
+
+    `drives` (n,) are the charges of their states.
+    """
     return np.maximum(((drives / omega) ** 2).real, 0.0)
 
 
 def _shape(fields: Mapping[str, Complex]) -> tuple[Real, Real]:
-    """Displacement (3, N) at the phase of its maximum, over this maximum, and the pressure (N,) over its own."""
+    """Displacement (3, N) and pressure (N,), each over its maximum.
+
+    Both are at the phase of the largest displacement.
+    """
     moved = np.stack([fields[name] for name in ("u_r", "u_z", "u_s")])
     # Modes of order 0 do not move along the third direction.
     moved[2, np.isnan(moved[2]) & ~np.isnan(moved[0])] = 0.0

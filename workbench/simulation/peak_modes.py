@@ -1,7 +1,8 @@
-"""The mode behind each peak of a simulated state, by its reduced model.
+"""The mode behind each peak of a simulated state.
 
-The poles of the reduced admittance are modes with short-circuited electrodes. At a peak of the conductance it is the
-mode of the largest modal conductance, at a peak of the energy in the cavity that of the largest modal energy there.
+The poles of the admittance of its reduced model are modes with short-circuited electrodes. At a peak of the conductance
+it is the mode of the largest modal conductance, at a peak of the energy in the cavity that of the largest modal energy
+there.
 """
 
 from __future__ import annotations
@@ -31,9 +32,10 @@ CONDUCTANCE, ENERGY = "conductance", "energy in the cavity"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PeakMode(Brief):
-    """A peak at ``frequency`` (Hz) of the ``quantity``, and the ``mode`` behind it.
+    """A peak and the ``mode`` behind it.
 
-    ``share`` is the part of the mode in the conductance there; None for a peak of the energy.
+    It is at ``frequency`` (Hz), of the ``quantity``. ``share`` is the part of the mode in the conductance there; None
+    for a peak of the energy.
     """
 
     frequency: float
@@ -45,9 +47,10 @@ class PeakMode(Brief):
 def peak_modes(
     model: ReducedModel, solution: Solution, system: System, clamped: float, energy_peaks: tuple[EnergyPeak, ...]
 ) -> tuple[PeakMode, ...]:
-    """The peaks of the conductance of a reduced `solution` and of the energy, by frequency, with their modes.
+    """The peaks of a reduced `solution`, by frequency, with their modes.
 
-    `clamped` (F) is the clamped capacitance. A peak without a mode nearby is left out.
+    They are those of the conductance, and the `energy_peaks`. `clamped` (F) is the clamped capacitance. A peak without
+    a mode nearby is left out.
     """
     frequency, conductance = solution.frequency, solution.admittance.real
     wanted = [(at, CONDUCTANCE, height) for at, height in _peaks(frequency, conductance)]
@@ -73,7 +76,10 @@ def peak_modes(
 
 
 def _peaks(frequency: Real, conductance: Real) -> list[tuple[float, float]]:
-    """Frequencies (Hz) and heights (S) of peaks of the conductance (n,), between its samples."""
+    """Frequencies (Hz) and heights (S) of peaks of the conductance (n,).
+
+    They are between its samples.
+    """
     if not (conductance > 0.0).all():
         return []
     level = np.log(conductance)
