@@ -167,6 +167,7 @@ def test_the_peaks_of_a_spectrum_are_named_by_the_poles_of_the_reduced_model(dis
         samples = run.spectrum.interpolant()(peak.frequency * (1.0 + np.array([-1e-4, 0.0, 1e-4])))
         assert np.argmax((1.0 / samples).real) == 1
     assert wb.simulate(disc, points=9, full=True, accuracy=1e-2).peak_modes == ()
+    assert wb.simulate(disc, points=9, band=(0.985e6, 0.99e6), accuracy=1e-2).peak_modes == ()
 
 
 def test_a_peak_of_the_energy_is_that_of_a_mode_with_energy_in_the_liquid() -> None:
@@ -261,6 +262,8 @@ def test_pairs_are_the_nearest_ones_and_a_mode_may_have_no_partner() -> None:
     assert alone.mode is None
     assert alone.words == "no driven mode matches"
     assert alone.q_ratio is None
+    (unseen,) = matched_modes([], [far, mode(1.0e6, 0.01)])  # the other one is no peak
+    assert unseen.mode is far
     (near,) = matched_modes([resonance(1.101e6, math.nan)], [far])
     assert near.mode is far
 

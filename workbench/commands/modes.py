@@ -19,8 +19,8 @@ from workbench.files.writing import write_json
 from workbench.render.mode_above import draw_mode_above, has_view_above
 from workbench.render.sections import animate_mode, draw_mode
 from workbench.report.modes import matched_record, matched_table, modes_record, modes_table
-from workbench.results.resonances import fit_resonances
-from workbench.simulation.matched_modes import matched_modes
+from workbench.results.resonances import resonances_of
+from workbench.simulation.matched_modes import MatchedMode, matched_modes
 from workbench.simulation.modes import ChipModes, modes
 
 if TYPE_CHECKING:
@@ -39,19 +39,20 @@ def run_modes(options: argparse.Namespace, console: Console) -> int:
                    for each in options.wavelengths.split(",") if each.strip()]
     if options.draw < 0:
         raise InputError("command line", "--draw", options.draw, "a number of pictures, 0 or more")
-    reading, recorded, band = None, (), model.band
+    reading, band = None, model.band
     if options.recording is not None:
         reading = reading_option(options, options.recording, console)
         band = common_band(options, band, reading.spectrum.frequency)
-        recorded = fit_resonances(reading.spectrum, band=band).resonances
     folder = output_folder(options, OUTPUTS)
     with progress_bars(console) as show:
         found = modes(chip, name, orders=orders, wavelengths=wavelengths, band=band, least_q=options.least_q,
                       accuracy=model.accuracy, registry=model.registry, progress=partial(show, name))
         show(name, "pictures", 1.0)
-        matched = matched_modes(recorded, found.modes) if reading is not None else ()
+        matched: tuple[MatchedMode, ...] = ()
         content = modes_record(found)
         if reading is not None:
+            fit = resonances_of(reading.spectrum.restricted(*band))
+            matched = matched_modes(() if fit is None else fit.resonances, found.modes)
             content["recording"] = {"file": str(options.recording), "read_as": reading.read_as or None,
                                     "findings": [finding.message for finding in reading.findings],
                                     "resonances": matched_record(matched)}

@@ -344,7 +344,8 @@ def reduced_modes(operators: ReducedOperators, values: Values, frequencies: Iter
                 found[one] = state, complex(drive)
     ordered = sorted(found, key=lambda one: one.real)
     return ReducedModes(np.array(ordered, dtype=complex), np.array([found[one][1] for one in ordered], dtype=complex),
-                        np.array([found[one][0] for one in ordered], dtype=complex).reshape(len(found), -1).T)
+                        np.array([found[one][0] for one in ordered], dtype=complex).reshape(
+                            len(found), operators.size - 1).T)
 
 
 def _continued(coefficients: Coefficients, values: Values, band: tuple[float, float]) -> tuple[list[Chebyshev], Groups]:

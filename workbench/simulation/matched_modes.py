@@ -47,14 +47,16 @@ class MatchedMode(Brief):
     @property
     def difference(self) -> float | None:
         """Recorded over modelled frequency, less 1."""
-        both = self.recorded is not None and self.mode is not None
-        return self.recorded.frequency.value / self.mode.frequency - 1.0 if both else None
+        if self.recorded is None or self.mode is None:
+            return None
+        return self.recorded.frequency.value / self.mode.frequency - 1.0
 
     @property
     def q_ratio(self) -> float | None:
         """Recorded over modelled quality factor."""
-        both = self.recorded is not None and self.mode is not None
-        return self.recorded.q.value / self.mode.q if both else None
+        if self.recorded is None or self.mode is None:
+            return None
+        return self.recorded.q.value / self.mode.q
 
     @property
     def words(self) -> str:
@@ -73,7 +75,8 @@ def matched_modes(recorded: Sequence[FittedResonance], modes: Sequence[ChipMode]
     of the ratio of coupling factors over that of :data:`RATIO`.
     """
     driven = [mode for mode in modes if mode.is_driven]
-    apart = np.array([[_distance(one, mode) for mode in driven] for one in recorded]).reshape(len(recorded), -1)
+    apart = np.array([[_distance(one, mode) for mode in driven] for one in recorded])
+    apart = apart.reshape(len(recorded), len(driven))
     rows, columns = linear_sum_assignment(np.minimum(apart, FARTHEST) ** 2)
     partners = {int(i): int(j) for i, j in zip(rows, columns, strict=True) if apart[i, j] < FARTHEST}
     found = [MatchedMode(one, driven[partners[i]]) if i in partners else MatchedMode(one, None, _beside(one, modes))

@@ -87,7 +87,7 @@ def _peaks(frequency: Real, conductance: Real) -> list[tuple[float, float]]:
     peaks = []
     for k in places:
         slope, bend, height = np.polyfit(frequency[k - 1 : k + 2] - frequency[k], level[k - 1 : k + 2], 2)[[1, 0, 2]]
-        at = float(-0.5 * slope / bend)
+        at = float(-0.5 * slope / bend) if bend < 0.0 else 0.0
         peaks.append((float(frequency[k]) + at, float(np.exp(height + 0.5 * slope * at))))
     return peaks
 
