@@ -190,8 +190,8 @@ def _starts(system: System, frequency: float, wanted: float, least_q: float) -> 
         # The circle about w^2 within which all of them are converged, and one about w within it.
         squares = (1.0 - growth) / found.sizes
         within = float(np.abs(squares[found.errors > ROUGH]).min(initial=np.inf))
-        radius = frequency * (np.sqrt(1.0 + within) - 1.0)
-        half = np.sqrt(max(radius**2 - (0.5 * frequency / least_q) ** 2, 0.0))
+        radius = frequency * (math.sqrt(1.0 + within) - 1.0)
+        half = math.sqrt(max(radius**2 - (0.5 * frequency / least_q) ** 2, 0.0))
         if half >= wanted:
             break
         if found.sizes.size >= most:
@@ -199,7 +199,7 @@ def _starts(system: System, frequency: float, wanted: float, least_q: float) -> 
                 break
             most *= 2
     inside = np.abs(squares) < within
-    omegas = 2.0 * np.pi * frequency * np.sqrt(1.0 + squares[inside])
+    omegas: Complex = 2.0 * np.pi * frequency * np.sqrt(1.0 + squares[inside])
     return factor, (omegas, factor.scale[:, None] * (found.space @ found.inner[:, inside])), half
 
 
@@ -247,7 +247,7 @@ def _arnoldi(operator: Callable[[Complex], Complex], size: int) -> Iterator[_Rit
     if size <= DENSE:
         sizes, whole = np.linalg.eig(operator(np.eye(size, dtype=complex)))
         moving = np.abs(sizes) > ROUNDING * np.abs(sizes).max()
-        yield _Ritz(sizes[moving], np.zeros(int(moving.sum())), whole, np.eye(size)[:, moving])
+        yield _Ritz(sizes[moving], np.zeros(int(moving.sum())), whole, np.eye(size, dtype=complex)[:, moving])
         return
     space = np.zeros((size, DIRECTIONS + BLOCK), dtype=complex, order="F")
     triangle = np.zeros((DIRECTIONS + BLOCK, DIRECTIONS + BLOCK), dtype=complex)

@@ -52,7 +52,7 @@ def draw_mode_above(mesh: NodalMesh, mode: ChipMode, path: Path) -> Path:
     figure = new_figure(7.0, 7.0)
     axes = figure.add_axes((0.12, 0.2, 0.8, 0.66))
     drawn = axes.imshow(np.ma.masked_invalid(values), cmap=SIGNED_COLOURS, vmin=-largest, vmax=largest, origin="lower",
-                        extent=tuple(1e3 * each for each in (-width, width, -length, length)),
+                        extent=(-1e3 * width, 1e3 * width, -1e3 * length, 1e3 * length),
                         aspect="equal" if is_round else "auto", interpolation="nearest")
     if is_round:
         axes.add_patch(Circle((0.0, 0.0), 1e3 * width, fill=False, edgecolor="#303030", linewidth=1.0))

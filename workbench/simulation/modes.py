@@ -185,7 +185,7 @@ def modes(
         if number == 0.0:  # Modes of other orders are not driven.
             capacitances = _capacitances(system, solved)
             clamped = clamped_capacitance(operators, system.values, 0.5 * sum(span))
-        found += described(system, solved, capacitances, clamped, nodal=nodal, dofs=dofs, number=number)
+        found += described_modes(system, solved, capacitances, clamped, nodal=nodal, dofs=dofs, number=number)
     progress("modes", 1.0)
     return ChipModes(chip, device.state.name, span, least_q, tuple(sorted(found, key=lambda mode: mode.frequency)),
                  nodal)
@@ -215,7 +215,7 @@ def _checked(
     return tuple(dict.fromkeys((*map(float, orders), *(2.0 * math.pi / length for length in wavelengths))))
 
 
-def described(
+def described_modes(
     system: System, found: Eigenmodes, capacitances: Real, clamped: float, *, nodal: NodalMesh,
     dofs: NDArray[np.int64], number: float = 0.0,
 ) -> list[ChipMode]:

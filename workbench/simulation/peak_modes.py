@@ -19,7 +19,7 @@ from workbench.reduced.model import ReducedModel
 from workbench.results.brief import Brief
 from workbench.results.peaks import find_peaks
 from workbench.simulation.energy import EnergyPeak
-from workbench.simulation.modes import ChipMode, branch_capacitances, described
+from workbench.simulation.modes import ChipMode, branch_capacitances, described_modes
 
 Real = NDArray[np.float64]
 
@@ -60,8 +60,8 @@ def peak_modes(
         return ()
     states = model.basis[:, :-1] @ found.states
     nodal, dofs = section_nodes(model.full.mesh)
-    modes = described(system, Eigenmodes(model.full, found.omega, states, np.zeros(found.omega.size)),
-                      branch_capacitances(found.drive, found.omega), clamped, nodal=nodal, dofs=dofs)
+    modes = described_modes(system, Eigenmodes(model.full, found.omega, states, np.zeros(found.omega.size)),
+                            branch_capacitances(found.drive, found.omega), clamped, nodal=nodal, dofs=dofs)
     liquid = np.array([mode.liquid for mode in modes])
     result = []
     for at, quantity, height in sorted(wanted):
