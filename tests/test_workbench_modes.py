@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import workbench as wb
 from workbench.cli import main
@@ -16,6 +18,10 @@ from workbench.fem.operators import assemble
 from workbench.fem.solve import System
 from workbench.files.errors import InputError
 from workbench.model.problem import build, fill
+from workbench.render.mode_above import draw_mode_above, has_view_above
+from workbench.render.sections import animate_mode
+from workbench.results.circuit import FittedNumber, FittedResonance
+from workbench.simulation.matched_modes import matched_modes
 
 DISC = """
 [chip]
@@ -141,3 +147,175 @@ def test_an_error_keeps_the_frequencies() -> None:
     error = ModesNotConverged(np.array([1e6 + 1e3j]), np.array([1e-3]))
     assert "1e+06 Hz" in str(error)
     assert math.isclose(error.changes[0], 1e-3)
+
+
+def test_the_peaks_of_a_spectrum_are_named_by_the_poles_of_the_reduced_model(disc: wb.Chip) -> None:
+    """The reduced model, exact to 1e-6 in Z, has the modes of the full one."""
+    run = wb.simulate(disc, points=401, relative_error=1e-6, accuracy=1e-2)
+    known = wb.modes(disc, accuracy=1e-2)
+    assert [peak.quantity for peak in run.peak_modes] == ["conductance"] * 2
+    for peak in run.peak_modes:
+        mode = known.near(peak.frequency)
+        assert mode is not None
+        assert peak.mode.frequency == pytest.approx(mode.frequency, rel=1e-6)
+        assert peak.mode.q == pytest.approx(mode.q, rel=1e-4)
+        assert peak.mode.k_eff == pytest.approx(mode.k_eff, rel=1e-3)
+        assert peak.mode.energy == pytest.approx(dict(mode.energy), abs=1e-4)
+        assert peak.mode.crossings == mode.crossings
+        assert peak.share == pytest.approx(1.0, abs=0.15)
+        # The height is that between the samples.
+        samples = run.spectrum.interpolant()(peak.frequency * (1.0 + np.array([-1e-4, 0.0, 1e-4])))
+        assert np.argmax((1.0 / samples).real) == 1
+    assert wb.simulate(disc, points=9, full=True, accuracy=1e-2).peak_modes == ()
+    assert wb.simulate(disc, points=9, band=(0.985e6, 0.99e6), accuracy=1e-2).peak_modes == ()
+
+
+def test_a_peak_of_the_energy_is_that_of_a_mode_with_energy_in_the_liquid() -> None:
+    chip = wb.read_chip("geometry/chips/glass_channel.toml")
+    run = wb.simulate(chip, accuracy=2e-2, points=241, warm=None)
+    peaks = [peak for peak in run.peak_modes if peak.quantity == "energy in the cavity"]
+    assert [peak.frequency for peak in peaks] == sorted(peak.frequency for peak in run.operating.peaks)
+    highest = next(peak for peak in peaks if peak.frequency == run.operating.peaks[0].frequency)
+    assert highest.mode.liquid > 0.3
+    assert np.nanmax(np.abs(highest.mode.pressure)) == pytest.approx(1.0)
+    assert np.array_equal(np.isnan(highest.mode.pressure), np.isfinite(highest.mode.shape[0]))
+    assert abs(highest.mode.frequency / highest.frequency - 1.0) < 1.0 / highest.mode.q
+
+
+@pytest.mark.usefixtures("disc")
+def test_the_report_names_the_mode_of_each_peak(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    assert main(["simulate", str(tmp_path / "disc.toml"), "--accuracy", "1 %", "--no-pictures", "--no-cad",
+                 "-o", str(folder)]) == 0
+    (state,) = json.loads((folder / "merit.json").read_text(encoding="utf-8"))["states"].values()
+    first, second = state["peak_modes"]
+    assert 0.95e6 < first["frequency_hz"] < second["frequency_hz"] < 1.08e6
+    assert first["mode"]["k_eff"] > 0.1
+    assert sum(first["mode"]["energy"].values()) == pytest.approx(1.0)
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "What is each peak?" in page
+    assert first["mode"]["words"] in page
+
+
+@pytest.fixture
+def recording(disc: wb.Chip, tmp_path: Path) -> Path:
+    """The spectrum of a disc 1 % thinner, with a side peak at its mode of order 1 of highest Q."""
+    thinner = DISC.replace('"2 mm"', '"1.98 mm"').replace('"0.95 MHz", "1.08 MHz"', '"0.96 MHz", "1.09 MHz"')
+    (tmp_path / "thinner.toml").write_text(thinner, encoding="utf-8")
+    spectrum = wb.simulate(wb.read_chip(tmp_path / "thinner.toml"), points=1001, accuracy=1e-2).spectrum
+    u = spectrum.frequency / SIDE_PEAK
+    side = 2j * np.pi * spectrum.frequency * 0.4e-12 / (1.0 - u**2 + 1j * u / 400.0)
+    path = tmp_path / "recording.csv"
+    wb.write_spectrum(replace(spectrum, impedance=1.0 / (spectrum.admittance + side)), path)
+    return path
+
+
+#: Frequency (Hz) of a further peak of the recording, without a driven mode.
+SIDE_PEAK = 1.0255e6
+
+
+def test_a_recording_beside_the_modes(
+    disc: wb.Chip, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "out"
+    assert main(["modes", str(tmp_path / "disc.toml"), "--orders", "0,1", "--accuracy", "1 %", "--draw", "0",
+                 "--recording", str(recording), "-o", str(folder)]) == 0
+    record = json.loads((folder / "modes.json").read_text(encoding="utf-8"))
+    assert record["band_hz"] == [0.96e6, 1.08e6]
+    rows = record["recording"]["resonances"]
+    known = wb.modes(disc, band=(0.96e6, 1.08e6), accuracy=1e-2)
+    pairs = [row for row in rows if row["recorded"] and row["mode"]]
+    assert [row["mode"]["frequency_hz"] for row in pairs] == pytest.approx(
+        [mode.frequency for mode in known.modes if mode.is_driven])
+    for row in pairs:
+        assert 0.0 < row["relative_difference_of_frequency"] < 0.011
+        assert row["recorded"]["frequency_hz"][0] == pytest.approx(
+            row["mode"]["frequency_hz"] * (1.0 + row["relative_difference_of_frequency"]))
+        assert row["q_ratio"] == pytest.approx(1.0, abs=0.1)
+    (alone,) = [row for row in rows if row["mode"] is None]
+    assert alone["recorded"]["frequency_hz"][0] == pytest.approx(SIDE_PEAK, rel=1e-4)
+    assert alone["nearest"]["order"] == 1
+    printed = capsys.readouterr().out
+    assert "recording.csv beside them" in printed
+    assert "no driven mode matches" in printed
+
+
+def test_pairs_are_the_nearest_ones_and_a_mode_may_have_no_partner() -> None:
+    """Frequencies shifted by 0.8 %, the spacing of two modes: couplings decide."""
+    def resonance(frequency: float, k_eff: float) -> FittedResonance:
+        frequencies, couplings, one = (FittedNumber(each, 0.0) for each in (frequency, k_eff, 1.0))
+        return FittedResonance(frequencies, one, couplings, one, one, one, one)
+
+    def mode(frequency: float, k_eff: float) -> wb.ChipMode:
+        return wb.ChipMode(0, math.inf, frequency, 100.0, 0.0, k_eff, {"transducer": 1.0}, {}, 0, False,
+                           np.zeros((3, 0)), np.zeros(0))
+
+    strong, weak, far = mode(1.000e6, 0.4), mode(1.008e6, 0.05), mode(1.1e6, 0.2)
+    found = matched_modes([resonance(1.016e6, 0.05), resonance(1.008e6, 0.4)], [strong, weak, far, mode(1.016e6, 0.0)])
+    assert [each.mode for each in found] == [strong, weak, far]
+    assert found[2].recorded is None
+    assert found[2].difference is None
+    assert found[2].words.startswith("not in the recording")
+    (pair,) = (each for each in matched_modes([resonance(1.008e6, 0.4)], [strong, weak]) if each.recorded)
+    assert pair.mode is strong
+    (alone,) = matched_modes([resonance(1.2e6, math.nan)], [])
+    assert alone.mode is None
+    assert alone.words == "no driven mode matches"
+    assert alone.q_ratio is None
+    (unseen,) = matched_modes([], [far, mode(1.0e6, 0.01)])  # the other one is no peak
+    assert unseen.mode is far
+    (near,) = matched_modes([resonance(1.101e6, math.nan)], [far])
+    assert near.mode is far
+
+
+@pytest.mark.parametrize("symmetry", ["even", "odd"])
+def test_a_half_has_the_zeros_of_the_whole_width(tmp_path: Path, symmetry: str) -> None:
+    text = DISC.replace("[[layers]]", f'geometry = "straight"\nlength = "10 mm"\nsymmetry = "{symmetry}"\n[[layers]]')
+    text = text.replace('radius = "5 mm"', 'width = "7 mm"').replace('live = "top"', LIVE[symmetry])
+    found = []
+    for name, content in (("half", text), ("whole", text.replace(f'"{symmetry}"', '"none"'))):
+        (tmp_path / f"{name}.toml").write_text(content, encoding="utf-8")
+        found.append(wb.modes(wb.read_chip(tmp_path / f"{name}.toml"), accuracy=1e-2).modes)
+    half, whole = found
+    assert len(half) >= 2
+    assert len(whole) > len(half)
+    for mode in half:
+        same = min(whole, key=lambda other: abs(other.frequency - mode.frequency))
+        assert same.frequency == pytest.approx(mode.frequency, rel=1e-4)  # the meshes differ
+        assert mode.crossings == same.crossings
+        assert mode.words.startswith(f"uniform along the channel, {same.crossings} zero")
+        assert "along the width of the transducer" in mode.words
+
+
+#: Electrodes of a straight plate by its symmetry.
+LIVE = {"even": 'live = "top"', "odd": 'live = "top", live_inner_half_width = "0.2 mm"'}
+
+
+def test_pictures_from_above_and_of_a_cycle(tmp_path: Path) -> None:
+    """The half of a plate that is drawn is mirrored; a cycle has its largest displacement at the beginning."""
+    (tmp_path / "disc.toml").write_text(DISC, encoding="utf-8")
+    found = wb.modes(wb.read_chip(tmp_path / "disc.toml"), orders=(1, 2), accuracy=1e-2)
+    for order, sign in ((1, -1.0), (2, 1.0)):
+        mode = next(each for each in found.modes if each.order == order)
+        assert has_view_above(mode)
+        picture = draw_mode_above(found.nodes, mode, tmp_path / f"above_{order}.png")
+        # Red less blue, within the circle.
+        red = _dots(picture)[330:700, 350:740]
+        assert np.corrcoef(red.ravel(), (sign * red[:, ::-1]).ravel())[0, 1] > 0.98
+    cycle = animate_mode(found.nodes, mode, tmp_path / "cycle.gif")
+    with Image.open(cycle) as moving:
+        frames = []
+        for frame in range(moving.n_frames):
+            moving.seek(frame)
+            rgb = np.asarray(moving.convert("RGB"), dtype=float)
+            frames.append((rgb[..., 0] - rgb[..., 2])[60:200, 80:1000])
+    assert len(frames) == 16
+    strength = [float(np.abs(frame).sum()) for frame in frames]
+    assert strength[4] < 0.05 * strength[0]
+    assert np.corrcoef(frames[0].ravel(), -frames[8].ravel())[0, 1] > 0.9
+
+
+def _dots(picture: Path) -> np.ndarray:
+    """Red less blue of a picture."""
+    rgb = np.asarray(Image.open(picture).convert("RGB"), dtype=float)
+    return rgb[..., 0] - rgb[..., 2]

@@ -110,17 +110,20 @@ def fields(problem: Problem, operators: FullOperators, solution: Solution, drive
 def nodal_components(
     operators: FullOperators, state: Complex, mesh: NodalMesh, dofs: NDArray[np.int64]
 ) -> dict[str, Complex]:
-    """The components of a `state` (size,) at the nodes (N,), or NaN.
+    """The components of a `state` at the nodes, or NaN.
 
-    `mesh` and `dofs` (N,) are those of :func:`section_nodes`. A component is NaN in regions without it.
+    A state (size,) has them as (N,), states (size, n) as (N, n). `mesh` and `dofs` (N,) are those of
+    :func:`section_nodes`. A component is NaN in regions without it.
     """
-    padded = np.append(state, 0.0)
-    nodal = {component: np.full(len(dofs), np.nan + 0j) for component in operators.numbering}
+    several = state.shape[1:]
+    padded = np.concatenate([state, np.zeros((1, *several))])
+    nodal = {component: np.full((len(dofs), *several), np.nan + 0j) for component in operators.numbering}
     for component, region in {pair for term in operators.terms for pair in term.unknowns}:
         nodes = mesh.nodes_of([region])
         nodal[component][nodes] = padded[operators.numbering[component][dofs[nodes]]]
         if component in operators.shares:
-            nodal[component][nodes] *= operators.shares[component][dofs[nodes]]
+            shares = operators.shares[component][dofs[nodes]]
+            nodal[component][nodes] *= shares.reshape(-1, *(1 for _ in several))
     return nodal
 
 

@@ -6,16 +6,12 @@ import argparse
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from geometry.chip import read_chip
 from geometry.straight import check_stated_length
 from workbench.commands.compare_energy import is_of_energy, run_compare_energy
-from workbench.commands.parsed_options import model_options, output_folder, reading_option
+from workbench.commands.parsed_options import common_band, model_options, output_folder, reading_option
 from workbench.commands.states import run_state
 from workbench.commands.terminal import print_paragraph, print_table, progress_bars, say_finding
-from workbench.files.errors import InputError
 from workbench.files.ownership import Outputs
 from workbench.files.writing import write_json
 from workbench.report.comparison import (
@@ -52,7 +48,7 @@ def run_compare(options: argparse.Namespace, console: Console) -> int:
     chip = read_chip(options.chip)
     check_stated_length(chip.measure, chip.file, "the impedance, which the recording is compared with,")
     model = model_options(options, chip)
-    model = replace(model, band=_common_band(options, model.band, measured.frequency),
+    model = replace(model, band=common_band(options, model.band, measured.frequency),
                     points=max(model.points, 2 * len(measured.frequency) - 1))
     folder = output_folder(options, OUTPUTS)
     with progress_bars(console) as show:
@@ -84,15 +80,3 @@ def run_compare(options: argparse.Namespace, console: Console) -> int:
         say_finding(text, console)
     return 0
 
-
-def _common_band(
-    options: argparse.Namespace, band: tuple[float, float], recorded: NDArray[np.float64]
-) -> tuple[float, float]:
-    """The overlap (Hz) of the requested band and the recording."""
-    inside = recorded[(recorded >= band[0]) & (recorded <= band[1])]
-    if inside.size < 2:
-        raise InputError(
-            str(options.recording), "frequency", f"{recorded[0]:g} to {recorded[-1]:g} Hz",
-            f"2 points or more in the band of {options.chip}, {band[0]:g} to {band[1]:g} Hz; --from and --to set "
-            "another band")
-    return max(band[0], float(recorded[0])), min(band[1], float(recorded[-1]))

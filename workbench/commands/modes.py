@@ -10,21 +10,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geometry.chip import read_chip
-from workbench.commands.parsed_options import model_options, output_folder
-from workbench.commands.terminal import print_line, print_table, progress_bars
+from workbench.commands.parsed_options import common_band, model_options, output_folder, reading_option
+from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
 from workbench.files.errors import InputError
 from workbench.files.ownership import Outputs
 from workbench.files.quantities import parse_quantity
 from workbench.files.writing import write_json
-from workbench.render.sections import draw_mode
-from workbench.report.modes import modes_record, modes_table
+from workbench.render.mode_above import draw_mode_above, has_view_above
+from workbench.render.sections import animate_mode, draw_mode
+from workbench.report.modes import matched_record, matched_table, modes_record, modes_table
+from workbench.results.resonances import resonances_of
+from workbench.simulation.matched_modes import MatchedMode, matched_modes
 from workbench.simulation.modes import ChipModes, modes
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 #: Files of a run.
-OUTPUTS = Outputs("modes", names=("modes.json", "mode_*.png"))
+OUTPUTS = Outputs("modes", names=("modes.json", "mode_*.png", "mode_*.gif"))
 
 
 def run_modes(options: argparse.Namespace, console: Console) -> int:
@@ -36,14 +39,31 @@ def run_modes(options: argparse.Namespace, console: Console) -> int:
                    for each in options.wavelengths.split(",") if each.strip()]
     if options.draw < 0:
         raise InputError("command line", "--draw", options.draw, "a number of pictures, 0 or more")
+    reading, band = None, model.band
+    if options.recording is not None:
+        reading = reading_option(options, options.recording, console)
+        band = common_band(options, band, reading.spectrum.frequency)
     folder = output_folder(options, OUTPUTS)
     with progress_bars(console) as show:
-        found = modes(chip, name, orders=orders, wavelengths=wavelengths, band=model.band, least_q=options.least_q,
+        found = modes(chip, name, orders=orders, wavelengths=wavelengths, band=band, least_q=options.least_q,
                       accuracy=model.accuracy, registry=model.registry, progress=partial(show, name))
         show(name, "pictures", 1.0)
-        paths = [write_json(folder / "modes.json", modes_record(found)), *_drawn(found, options.draw, folder)]
+        matched: tuple[MatchedMode, ...] = ()
+        content = modes_record(found)
+        if reading is not None:
+            fit = resonances_of(reading.spectrum.restricted(*band))
+            matched = matched_modes(() if fit is None else fit.resonances, found.modes)
+            content["recording"] = {"file": str(options.recording), "read_as": reading.read_as or None,
+                                    "findings": [finding.message for finding in reading.findings],
+                                    "resonances": matched_record(matched)}
+        paths = [write_json(folder / "modes.json", content),
+                 *_drawn(found, options.draw, folder, animated=options.animate)]
         show(name, "done", 1.0)
     print_table(f"{chip.name}, {name}: {len(found.modes)} modes", modes_table(found))
+    if reading is not None:
+        print_table(f"{options.recording.name} beside them", matched_table(matched))
+        for finding in reading.findings:
+            say_finding(finding.message, console)
     for path in paths:
         print_line(str(path))
     return 0
@@ -61,9 +81,14 @@ def _order(text: str) -> int:
     return int(text)
 
 
-def _drawn(found: ChipModes, most: int, folder: Path) -> Iterator[Path]:
+def _drawn(found: ChipModes, most: int, folder: Path, *, animated: bool) -> Iterator[Path]:
     """Pictures of the modes with most coupling, or energy in the liquid."""
     leading = sorted(found.modes, key=lambda mode: -max(mode.k_eff, mode.liquid))[:most]
     for mode in sorted(leading, key=lambda mode: mode.frequency):
         kind = f"{1e3 * mode.wavelength:.6g}_mm" if math.isfinite(mode.wavelength) else f"order_{mode.order}"
-        yield draw_mode(found.nodes, mode, folder / f"mode_{mode.frequency / 1e6:.6f}_MHz_{kind}.png")
+        name = f"mode_{mode.frequency / 1e6:.6f}_MHz_{kind}"
+        yield draw_mode(found.nodes, mode, folder / f"{name}.png")
+        if has_view_above(mode):
+            yield draw_mode_above(found.nodes, mode, folder / f"{name}_above.png")
+        if animated:
+            yield animate_mode(found.nodes, mode, folder / f"{name}.gif")

@@ -171,8 +171,12 @@ def _modes(sub: argparse.ArgumentParser) -> None:
                      help='wavelengths along a straight chip, such as "5 mm,2 mm" (default: uniform modes alone)')
     sub.add_argument("--least-q", type=float, default=20.0, metavar="Q",
                      help="smallest quality factor of a mode (default 20)")
+    sub.add_argument("--recording", type=Path, metavar="FILE", help="a recording of this state: its resonances beside "
+                     "the modes that the electrodes drive (default: none)")
+    _with_recording(sub)
     sub.add_argument("--draw", type=int, default=6, metavar="N", help="modes to draw, those of the largest coupling or "
                      "energy in the liquid (default 6)")
+    sub.add_argument("--animate", action="store_true", help="a cycle of each drawn mode too, as a GIF (default: not)")
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 

@@ -26,6 +26,8 @@ from workbench.model.drive import Drive, parse_drive, wired
 from workbench.simulation.warm import WarmUp
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
     from rich.console import Console
 
     from workbench.readers import Reading
@@ -163,6 +165,25 @@ def reading_option(options: argparse.Namespace, recording: Path, console: Consol
                              without_outliers=options.without_outliers)
     say_read_as(reading.read_as, recording.name, console)
     return reading
+
+
+def common_band(
+    options: argparse.Namespace, band: tuple[float, float], recorded: NDArray[np.float64]
+) -> tuple[float, float]:
+    """The overlap (Hz) of the requested band and a recording.
+
+    `recorded` (n,) are its frequencies (Hz).
+
+    Raises:
+        InputError: fewer than two of them are in the band.
+    """
+    inside = recorded[(recorded >= band[0]) & (recorded <= band[1])]
+    if inside.size < 2:
+        raise InputError(
+            str(options.recording), "frequency", f"{recorded[0]:g} to {recorded[-1]:g} Hz",
+            f"2 points or more in the band of {options.chip}, {band[0]:g} to {band[1]:g} Hz; --from and --to set "
+            "another band")
+    return max(band[0], float(recorded[0])), min(band[1], float(recorded[-1]))
 
 
 def say_read_as(read_as: str, name: str, console: Console) -> None:

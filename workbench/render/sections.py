@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +18,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.measure import ABOUT_AXIS, Axisymmetric, Measure
-from workbench.acoustics.nodal import FloatArray, NodalMesh, border_lines, cell_raster, interpolate, raster
+from workbench.acoustics.nodal import (
+    FloatArray,
+    NodalMesh,
+    border_lines,
+    borders,
+    cell_raster,
+    edge_nodes,
+    interpolate,
+    raster,
+)
 from workbench.acoustics.streaming import Streaming
 from workbench.acoustics.traps import TrapReport
+from workbench.files.writing import replacing
 from workbench.render.canvas import (
     PLAIN_COLOURS,
     POINTS_PER_DOT,
@@ -36,6 +46,7 @@ from workbench.render.canvas import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
 
     from workbench.acoustics.fields import Fields
     from workbench.simulation.modes import ChipMode
@@ -52,6 +63,11 @@ _THIN = 0.02
 _STILL = 0.01
 #: Arrows of a flow along the radius.
 _ARROWS = 40
+#: Colours of the pressure beside displacements.
+_PRESSURE_COLOURS = "PuOr_r"
+#: Frames of a cycle of a mode, a second long, their dots per inch, and the largest displacement over the height.
+#: Doubled, files are twice, or four times, as large.
+_FRAMES, _MOVING_DOTS_PER_INCH, _MOVED = 16, 80, 0.06
 #: Least ratio of height to width; heights of a flatter section are enlarged. Doubled, those of a whole chip would be.
 _FLATTEST = 0.08
 
@@ -83,14 +99,122 @@ def draw_axial_displacement(fields: Fields, path: Path) -> Path:
 
 
 def draw_mode(mesh: NodalMesh, mode: ChipMode, path: Path) -> Path:
-    """Draw the leading displacement of a `mode` in solids. Writes `path`."""
-    leading = int(np.argmax(np.nansum(mode.shape**2, axis=1)))
-    name = ("to the right", "upwards", "along the third direction")[leading]
-    # On the other side, cos(m t) has the sign of (-1)^m, and a displacement away from the axis points to the left.
-    image = (-1 if mesh.measure.mirror < 0 else 1) * (-1) ** mode.order * (-1 if leading == 0 else 1)
-    return _draw_signed(mesh, mode.shape[leading], path, unit="", label=f"displacement {name}, over its maximum",
-                        window=_window(mesh.points, mesh.measure), image=image,
-                        title=f"{mode.frequency / 1e6:.4f} MHz, Q {mode.q:.3g}\n{mode.words}")
+    """Draw a `mode` in the section. Writes `path`.
+
+    It is the leading displacement in solids, and the pressure in fluids.
+    """
+    drawing = _DrawnMode.of(mesh, mode)
+    figure, axes = drawing.framed()
+    drawing.show(axes, 1.0)
+    _outline(axes, mesh)
+    return save_figure(figure, path, dots_per_inch=_DOTS_PER_INCH)
+
+
+def animate_mode(mesh: NodalMesh, mode: ChipMode, path: Path) -> Path:
+    """Write a cycle of a `mode` as a GIF, with moving outlines.
+
+    The colours are those of :func:`draw_mode`. The largest displacement is drawn as :data:`_MOVED` of the height.
+    """
+    from matplotlib.animation import PillowWriter
+    from matplotlib.collections import LineCollection
+
+    drawing = _DrawnMode.of(mesh, mode)
+    # Half of the dots each way.
+    across, up = (size - size % (2 * POINTS_PER_DOT) for size in drawing.solid.shape)
+    drawing = replace(drawing, solid=drawing.solid[:across:2, :up:2], liquid=drawing.liquid[:across:2, :up:2])
+    figure, axes = drawing.framed()
+    lines = LineCollection([], colors=_OUTLINE, linewidths=0.8)
+    axes.add_collection(lines)
+    image = None
+    writer = PillowWriter(fps=_FRAMES)
+    with replacing(path) as whole, writer.saving(figure, str(whole), dpi=_MOVING_DOTS_PER_INCH):
+        for frame in range(_FRAMES):
+            now = math.cos(2.0 * math.pi * frame / _FRAMES)
+            if image is not None:
+                image.remove()
+            image = drawing.show(axes, now)
+            lines.set_segments(drawing.moved_edges(now))
+            writer.grab_frame()
+    return path
+
+
+@dataclass(frozen=True, eq=False)
+class _DrawnMode:
+    """A mode in its window.
+
+    ``leading`` is the component of the displacement that is drawn. ``solid`` and ``liquid`` are it and the pressure at
+    the points of a picture, NaN elsewhere; ``images`` are the signs in the mirror image of the components and, last, of
+    the pressure.
+    """
+
+    mesh: NodalMesh
+    mode: ChipMode
+    window: _Window
+    leading: int
+    solid: FloatArray
+    liquid: FloatArray
+    images: tuple[int, int, int, int]
+
+    @classmethod
+    def of(cls, mesh: NodalMesh, mode: ChipMode) -> _DrawnMode:
+        leading = int(np.argmax(np.nansum(mode.shape**2, axis=1)))
+        window = _window(mesh.points, mesh.measure)
+        # On the other side cos(m t) has the sign (-1)^m, and a displacement away from the axis points to the left.
+        scalar = (-1 if mesh.measure.mirror < 0 else 1) * (-1) ** mode.order
+        return cls(mesh, mode, window, leading, _nodal(mesh, mode.shape[leading], window),
+                   _nodal(mesh, mode.pressure, window), (-scalar, scalar, scalar, scalar))
+
+    def framed(self) -> tuple[Figure, Axes]:
+        """A figure with its colour bars, and axes for the section."""
+        figure, axes, bar = _frame(self.window, title=(
+            f"{self.mode.frequency / 1e6:.4f} MHz, Q {self.mode.q:.3g}\n{self.mode.words}"))
+        way = ("to the right", "upwards", "along the third direction")[self.leading]
+        limits, low, high = self._limits, bar.get_position().y0, bar.get_position().height
+        if self._has_liquid:
+            bar.set_position((0.08, low, 0.38, high))
+            beside = figure.add_axes((0.54, low, 0.38, high))
+            _colour_bar(figure, beside, limits=(-1.0, 1.0), colours=_PRESSURE_COLOURS,
+                        label="pressure, over its maximum")
+        _colour_bar(figure, bar, limits=limits, colours=SIGNED_COLOURS,
+                    label=f"displacement {way}, over the largest displacement")
+        return figure, axes
+
+    def show(self, axes: Axes, now: float) -> AxesImage:
+        """Draw the fields times the factor `now`."""
+        dots = _picture(self.window, self.solid * now, limits=self._limits, colours=SIGNED_COLOURS,
+                        image=self.images[self.leading])
+        if self._has_liquid:
+            liquid = _picture(self.window, self.liquid * now, limits=(-1.0, 1.0), colours=_PRESSURE_COLOURS,
+                              image=self.images[-1])
+            dots = np.minimum(dots, liquid)  # Each is white where the other has its values.
+        return _show_dots(axes, self.window, dots)
+
+    def moved_edges(self, now: float) -> list[FloatArray]:
+        """The edges of regions (2, 2; mm), mirrored too.
+
+        They are moved by the displacement times `now`.
+        """
+        pairs = [np.stack([nodes[:, :-1], nodes[:, 1:]], axis=2).reshape(-1, 2) for nodes in (
+            edge_nodes(self.mesh, side, cells) for side, cells in borders(self.mesh, self.mesh.region))]
+        ends = np.concatenate(pairs)
+        factor = now * _MOVED * (self.window.top - self.window.bottom)
+        move = factor * self.mode.shape[:2].T[ends]
+        move[:, :, 0] *= self.window.tall
+        solid = np.isfinite(move).all(axis=(1, 2))
+        rest, move = self.mesh.points[ends[solid]], move[solid]
+        edges = [rest + move]
+        if self.mesh.measure.mirror:
+            edges.append(rest * [-1.0, 1.0] + move * [-self.images[1], self.images[1]])
+        return list(np.concatenate(edges) * 1e3)
+
+    @property
+    def _has_liquid(self) -> bool:
+        return bool(np.isfinite(self.liquid).any())
+
+    @property
+    def _limits(self) -> tuple[float, float]:
+        largest = float(np.nanmax(np.abs(self.mode.shape[self.leading])))
+        return -largest, largest
 
 
 def draw_pressure(fields: Fields, path: Path, *, region: str | None = None) -> Path:
@@ -334,17 +458,28 @@ def _show(
 ) -> None:
     """Draw `values` at :func:`_raster_points` and mirrored, NaN white. `colours` is the name of a map, or one colour
     for every step between `limits`. `image` is the sign of the values in the mirror image."""
+    _show_dots(axes, window, _picture(window, values, limits=limits, colours=colours, image=image))
+
+
+def _picture(
+    window: _Window, values: FloatArray, *, limits: tuple[float, float], colours: str | Sequence[str], image: int
+) -> NDArray[np.uint8]:
+    """The dots of :func:`_show`."""
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
 
     shades = colormaps[colours] if isinstance(colours, str) else ListedColormap(list(colours))
     seen = values.T[::-1]
-    picture = right = coloured_dots(seen, shades, limits)
-    if window.is_mirrored:
-        left = right if image > 0 else coloured_dots(-seen, shades, limits)
-        picture = np.concatenate([left[:, ::-1], right], axis=1)
+    right = coloured_dots(seen, shades, limits)
+    if not window.is_mirrored:
+        return right
+    left = right if image > 0 else coloured_dots(-seen, shades, limits)
+    return np.concatenate([left[:, ::-1], right], axis=1)
+
+
+def _show_dots(axes: Axes, window: _Window, picture: NDArray[np.uint8]) -> AxesImage:
     # Dot for dot: another interpolation blurs them, and doubles the time of a picture.
-    axes.imshow(picture, extent=_extent(window), interpolation="nearest", aspect=window.tall)
+    return axes.imshow(picture, extent=_extent(window), interpolation="nearest", aspect=window.tall)
 
 
 def _outline(axes: Axes, mesh: NodalMesh) -> None:

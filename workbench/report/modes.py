@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from workbench.report.page import TextTable, table
 from workbench.report.record import record
+from workbench.simulation.matched_modes import MatchedMode
 from workbench.simulation.modes import ChipModes
 
 
@@ -18,3 +20,23 @@ def modes_record(found: ChipModes) -> dict[str, Any]:
     """The content of ``modes.json``; a wavelength is null if there is none."""
     keys = "order wavelength_m frequency_hz q capacitance_f k_eff energy loss zeros=crossings"
     return record(found, f"chip=chip.name state band_hz least_q modes {{ {keys} }}")
+
+
+def matched_table(matched: Sequence[MatchedMode]) -> TextTable:
+    """The resonances of a recording beside the modes of the model."""
+    return table(
+        "recorded f (MHz):.6f=recorded.frequency.value | Q=recorded.q.value | k_eff:.3f=recorded.k_eff.value | "
+        "model f (MHz):.6f=mode.frequency | Q=mode.q | k_eff:.3f=mode.k_eff | "
+        "difference of f (%):.3f=difference | ratio of Q:.3g=q_ratio | mode=words", matched)
+
+
+def matched_record(matched: Sequence[MatchedMode]) -> list[dict[str, Any]]:
+    """The resonances of a recording beside the modes of the model.
+
+    The recorded numbers have standard errors. A partner that is missing is null.
+    """
+    mode = "{ order frequency_hz q k_eff words }"
+    found: list[dict[str, Any]] = record(
+        tuple(matched), "recorded { frequency_hz q k_eff } relative_difference_of_frequency=difference q_ratio "
+                        f"mode {mode} nearest=beside {mode} words")
+    return found

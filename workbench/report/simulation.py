@@ -103,6 +103,14 @@ def channel_tables(shot: Snapshot) -> list[TextTable]:
     return tables
 
 
+def peak_modes_table(runs: Sequence[Simulation]) -> TextTable:
+    """The mode behind every peak of the conductance and of the energy."""
+    return table(
+        "state | peak (MHz):.4f | of | part (%):.0f | f (MHz):.6f | Q:.4g | mode",
+        ((run.state, peak.frequency, peak.quantity, peak.share, peak.mode.frequency, peak.mode.q, peak.mode.words)
+         for run in runs for peak in run.peak_modes))
+
+
 def model_table(runs: Sequence[Simulation]) -> TextTable:
     """Size, error and time of every run."""
     return table(
@@ -215,7 +223,9 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
              "fields { frequency_hz drive power_w } operating_point=operating { frequency_hz } "
              "energy_peaks=operating.peaks { frequency_hz q mean_energy_density_j_m3=energy_density "
              "per_square_vpp_j_m3_v2=per_square_volt per_watt_j_m3_w=per_watt } "
-             "losses_w findings left_out_hz=left_out seconds")
+             "losses_w findings left_out_hz=left_out seconds "
+             "peak_modes { frequency_hz quantity share_of_conductance=share "
+             "mode { frequency_hz q k_eff capacitance_f energy loss zeros=crossings words } }")
     found["resonance_fits"], found["circuit"] = single_fits_record(run.spectrum), resonances_record(run.resonances)
     found["model"] = record(
         run, "unknowns cells=problem.mesh.mesh.nelements full_solves=solves order=problem.mesh.order "

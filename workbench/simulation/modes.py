@@ -57,11 +57,12 @@ class ChipMode(Brief):
 
     ``order`` is the number of its waves around the axis; in a straight chip ``wavelength`` (m) is that along the
     channel, infinite for none. ``capacitance`` (F) is that of its branch in the equivalent circuit, and ``k_eff`` its
-    effective coupling factor beside the clamped capacitance; both are 0 for a mode of another order or wavelength.
-    ``energy`` and ``loss`` are shares by region, the largest first; losses at a contact count for its boundary.
-    ``crossings`` counts zeros of the leading component along the upper face of the region of most energy. ``shape`` (3,
-    N) are u_r, u_z and u_s at the nodes of :attr:`ChipModes.nodes`, real, at the phase of the largest one, in units of
-    it; NaN in fluids.
+    effective coupling factor beside the clamped capacitance C_0, k^2 = C / (C_0 + C); both are 0 for a mode of another
+    order or wavelength. ``energy`` and ``loss`` are shares by region, the largest first; losses at a contact count for
+    its boundary. ``crossings`` counts zeros of the leading component along the upper face of the region of most energy:
+    along the radius, or across the whole width of a section that ``is_straight``.
+    ``shape`` (3, N) are u_r, u_z and u_s at the nodes of :attr:`ChipModes.nodes`, real, at the phase of the largest
+    one, in units of it; NaN in fluids. ``pressure`` (N,) is that at the same phase, over its maximum; NaN in solids.
     """
 
     order: int
@@ -73,7 +74,9 @@ class ChipMode(Brief):
     energy: Mapping[str, float]
     loss: Mapping[str, float]
     crossings: int
+    is_straight: bool
     shape: Real
+    pressure: Real
 
     @property
     def liquid(self) -> float:
@@ -85,9 +88,11 @@ class ChipMode(Brief):
         """The mode in words, without its frequency."""
         leading = [f"{100.0 * share:.0f} % in the {plain_words(region)}" for region, share in self.energy.items()
                    if share >= LEAST_SHARE][:NAMED]
-        zeros = f"{self.crossings} zero{'' if self.crossings == 1 else 's'} across the {next(iter(self.energy))}"
-        is_along = math.isfinite(self.wavelength)
-        along = f"wavelength {1e3 * self.wavelength:.3g} mm" if is_along else f"order {self.order}"
+        way = "width" if self.is_straight else "radius"
+        zeros = (f"{self.crossings} zero{'' if self.crossings == 1 else 's'} along the {way} of the "
+                 f"{plain_words(next(iter(self.energy)))}")
+        along = f"order {self.order}" if not self.is_straight else "uniform along the channel" if math.isinf(
+            self.wavelength) else f"wavelength {1e3 * self.wavelength:.3g} mm"
         coupling = f"k_eff {self.k_eff:.3f}" if self.is_driven else "not driven by the electrodes"
         return ", ".join((along, zeros, *leading, coupling))
 
@@ -167,12 +172,20 @@ def modes(
     posed = build(device, band=span, accuracy=accuracy)
     nodal, dofs = section_nodes(posed.mesh)
     found: list[ChipMode] = []
+    operators: FullOperators | None = None
     for k, number in enumerate(values):
         progress("modes", k / len(values))
         is_first = not is_straight and number == 1.0
         terms = terms_of_order(posed.terms, is_first=is_first) if number else posed.terms
-        system = System(assemble(posed.mesh, terms), {**posed.values, ORDER: number})
-        found += _described(system, eigenmodes(system, span, least_q=least_q), number, is_straight, nodal, dofs)
+        # All orders above the first have one model.
+        operators = operators if operators and operators.terms == terms else assemble(posed.mesh, terms)
+        system = System(operators, {**posed.values, ORDER: number})
+        solved = eigenmodes(system, span, least_q=least_q)
+        capacitances, clamped = np.zeros(solved.omega.size), 1.0
+        if number == 0.0:  # Modes of other orders are not driven.
+            capacitances = _capacitances(system, solved)
+            clamped = clamped_capacitance(operators, system.values, 0.5 * sum(span))
+        found += described_modes(system, solved, capacitances, clamped, nodal=nodal, dofs=dofs, number=number)
     progress("modes", 1.0)
     return ChipModes(chip, device.state.name, span, least_q, tuple(sorted(found, key=lambda mode: mode.frequency)),
                  nodal)
@@ -202,26 +215,34 @@ def _checked(
     return tuple(dict.fromkeys((*map(float, orders), *(2.0 * math.pi / length for length in wavelengths))))
 
 
-def _described(
-    system: System, found: Eigenmodes, number: float, is_straight: bool, nodal: NodalMesh, dofs: NDArray[np.int64]
+def described_modes(
+    system: System, found: Eigenmodes, capacitances: Real, clamped: float, *, nodal: NodalMesh,
+    dofs: NDArray[np.int64], number: float = 0.0,
 ) -> list[ChipMode]:
-    """The modes of one order with their energies, losses and couplings."""
+    """The modes of one order with their energies and losses.
+
+    The order is the `number`, a wave number (1/m) in a straight chip. `capacitances` (n,) in F are those of their
+    branches, `clamped` (F) that of the electrodes. `nodal` and `dofs` are of
+    `workbench.acoustics.fields.section_nodes`.
+    """
     if not found.omega.size:
         return []
     operators, real = found.operators, found.omega.real
     coefficients = operators.coefficients(real, system.values)
     energy = energy_shares(operators, found.states, coefficients)
     loss = _loss_shares(operators, found.states, coefficients)
-    capacitances, couplings = _couplings(system, found) if number == 0.0 else np.zeros((2, real.size))
+    couplings = np.sqrt(capacitances / (clamped + capacitances))
+    is_straight = isinstance(nodal.measure, Straight)
     wavelength = 2.0 * math.pi / number if is_straight and number else math.inf
+    components = nodal_components(operators, found.states, nodal, dofs)
     result = []
     for k, (frequency, q) in enumerate(zip(found.frequency, found.q, strict=True)):
         own = _ordered({region: float(each[k]) for region, each in energy.items()})
-        fields = nodal_components(operators, found.states[:, k], nodal, dofs)
+        fields = {name: values[:, k] for name, values in components.items()}
         lost = _ordered({place: float(each[k]) for place, each in loss.items()})
         result.append(ChipMode(0 if is_straight else round(number), wavelength, float(frequency), float(q),
-                           float(capacitances[k]), float(couplings[k]), own, lost,
-                           _crossings(fields, nodal, next(iter(own))), _shape(fields)))
+                               float(capacitances[k]), float(couplings[k]), own, lost,
+                               _crossings(fields, nodal, next(iter(own))), is_straight, *_shape(fields)))
     return result
 
 
@@ -241,40 +262,59 @@ def _loss_shares(operators: FullOperators, states: Complex, coefficients: Comple
             for place, each in lost.items() if each.any()}
 
 
-def _couplings(system: System, found: Eigenmodes) -> tuple[Real, Real]:
-    """Capacitances C_n (F) and effective coupling factors of modes, (n,) each.
+def _capacitances(system: System, found: Eigenmodes) -> Real:
+    """Capacitances C_n (n,) in F of the branches of modes.
 
-    k^2 = C_n / (C_0 + C_n) with the clamped capacitance C_0 (`workbench.fem.capacitance`). The charge at 1 V has the
-    poles C_n w_n^2 / (w_n^2 - w^2) with C_n = (b^T x)^2 / w_n^2, b the electrode's column.
+    The charge at 1 V has the poles C_n w_n^2 / (w_n^2 - w^2) with C_n = (b^T x)^2 / w_n^2, b the electrode's column.
     """
     operators, omega = found.operators, found.omega
     electrode = np.zeros((operators.size, omega.size), dtype=complex)
     electrode[-1] = 1.0
     forms = operators.quadratic(electrode, found.states)
-    drives = (operators.coefficients(omega.real, system.values) * forms).sum(axis=1)
-    own = np.maximum(((drives / omega) ** 2).real, 0.0)
-    clamped = clamped_capacitance(operators, system.values, float(np.median(found.frequency)))
-    return own, np.sqrt(own / (clamped + own))
+    return branch_capacitances((operators.coefficients(omega.real, system.values) * forms).sum(axis=1), omega)
 
 
-def _shape(fields: Mapping[str, Complex]) -> Real:
-    """Displacement (3, N) at the phase of its maximum, over this maximum."""
+def branch_capacitances(drives: Complex, omega: Complex) -> Real:
+    """Capacitances (n,) in F of the branches of modes.
+
+    `drives` (n,) are the charges of their states.
+    """
+    return np.maximum(((drives / omega) ** 2).real, 0.0)
+
+
+def _shape(fields: Mapping[str, Complex]) -> tuple[Real, Real]:
+    """Displacement (3, N) and pressure (N,), each over its maximum.
+
+    Both are at the phase of the largest displacement.
+    """
     moved = np.stack([fields[name] for name in ("u_r", "u_z", "u_s")])
     # Modes of order 0 do not move along the third direction.
     moved[2, np.isnan(moved[2]) & ~np.isnan(moved[0])] = 0.0
     largest = moved.ravel()[np.nanargmax(np.abs(moved))]
-    return np.asarray((moved / largest).real)
+    pressure = (fields["p"] / largest).real
+    highest = np.abs(pressure).max(where=np.isfinite(pressure), initial=0.0)
+    return np.asarray((moved / largest).real), pressure / (highest or 1.0)
 
 
 def _crossings(fields: Mapping[str, Complex], nodal: NodalMesh, region: str) -> int:
-    """Number of zeros of the leading component on a region's upper face."""
+    """Number of zeros of the leading component on a region's upper face.
+
+    They are along the radius, or across the whole width of a section that shows one half.
+    """
     nodes = nodal.nodes_of([region])
     points = nodal.points[nodes]
     top = points[:, 1] >= points[:, 1].max() - AT_FACE * np.ptp(points[:, 1])
     nodes = nodes[top][np.argsort(points[top, 0])]
-    lines = [values[nodes] for name, values in fields.items() if name != "phi" and np.isfinite(values[nodes]).all()]
-    leading = max(lines, key=lambda values: float(np.sum(np.abs(values) ** 2)))
+    lines = {name: values[nodes] for name, values in fields.items()
+             if name != "phi" and np.isfinite(values[nodes]).all()}
+    name, leading = max(lines.items(), key=lambda each: float(np.sum(np.abs(each[1]) ** 2)))
     # Losses leave a small part in quadrature.
     real = (leading * np.exp(-0.5j * np.angle(np.sum(leading**2)))).real
     seen = real[np.abs(real) > SEEN * np.abs(real).max()]
-    return int(np.sum(seen[1:] * seen[:-1] < 0.0))
+    count = int(np.sum(seen[1:] * seen[:-1] < 0.0))
+    if not isinstance(nodal.measure, Straight) or not nodal.measure.mirror:
+        return count
+    # In the image, a displacement across has the other sign; an odd field is zero in the middle.
+    is_odd = nodal.measure.mirror * (-1 if name == "u_r" else 1) < 0
+    reaches = nodal.points[nodes[0], 0] <= nodal.points[:, 0].min() + AT_FACE * np.ptp(nodal.points[:, 0])
+    return 2 * count + int(is_odd and reaches)

@@ -49,6 +49,7 @@ from workbench.simulation.fixed_point import warmed
 from workbench.simulation.mesh_error import MeshErrorEstimate
 from workbench.simulation.mesh_error import estimate as mesh_error
 from workbench.simulation.operating_point import OperatingPoint, operating_point
+from workbench.simulation.peak_modes import PeakMode, peak_modes
 from workbench.simulation.solved_spectrum import (
     SolvedSpectrum,
     band_of,
@@ -135,6 +136,7 @@ class Simulation(Snapshot, Shown):
     stored), ``solves`` the number of full solves, ``residual`` the largest scaled residual of one. ``capacitance`` is
     that of the electrodes. ``seconds`` are by step. ``left_out`` (Hz) are requested frequencies whose solve did not
     converge. ``energy`` of the sound in the cavity over the band is None without a liquid there and after full solves.
+    ``peak_modes`` are the modes behind its peaks and those of the conductance, empty after full solves.
     """
 
     operators: FullOperators
@@ -149,6 +151,7 @@ class Simulation(Snapshot, Shown):
     operating: OperatingPoint
     energy: EnergySpectrum | None = None
     left_out: tuple[float, ...] = ()
+    peak_modes: tuple[PeakMode, ...] = ()
 
     @property
     def unknowns(self) -> int:
@@ -268,13 +271,18 @@ def simulate(
     shot = _snapshot(device, problem, system, operating.frequency, drive, warm, registry, found.model)
     lap("fields")
     progress("fields", 1.0)
+    electrodes = capacitance(system)
+    named = () if found.model is None or found.solution is None else peak_modes(
+        found.model, found.solution, system, electrodes.clamped, operating.peaks)
+    lap("modes of the peaks")
     left_out = tuple(map(float, np.setdiff1d(frequencies, found.frequency)))
     return Simulation(
         chip=chip, state=shot.state, problem=shot.problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
         traps=shot.traps, residual=max(found.residual, shot.residual), operators=system.operators, spectrum=spectrum,
         figures=merit, no_resonance=reason, error=found.error, mesh_error=of_mesh, solves=found.solves + 1,
-        seconds=lap.seconds, capacitance=capacitance(system), left_out=left_out, solution=shot.solution, energy=energy,
-        warm=shot.warm, operating=replace(operating, follows=shot.warm is not None and shot.warm.is_followed),
+        seconds=lap.seconds, capacitance=electrodes, peak_modes=named, left_out=left_out, solution=shot.solution,
+        energy=energy, warm=shot.warm,
+        operating=replace(operating, follows=shot.warm is not None and shot.warm.is_followed),
         findings=(*more, *findings_of(found, relative_error, device, left_out, spectrum, merit), *shot.findings))
 
 
