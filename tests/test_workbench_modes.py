@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import layer_text
 
 import workbench as wb
 from workbench.cli import main
@@ -21,13 +22,7 @@ DISC = """
 [chip]
 name = "disc"
 band = ["0.95 MHz", "1.08 MHz"]
-[[layers]]
-role = "transducer"
-material = "pz26/ferroperm"
-thickness = "2 mm"
-radius = "5 mm"
-electrodes = { live = "top" }
-"""
+""" + layer_text("transducer", "pz26/ferroperm", thickness="2 mm", radius="5 mm", electrodes='{ live = "top" }')
 
 @pytest.fixture
 def disc(tmp_path: Path) -> wb.Chip:

@@ -176,13 +176,15 @@ class Resolved:
         outflow = sum(0.5 * np.real((slopes[0][i] - 1j * slopes[1][i]) * v[i]) for i in range(2)) / DENSITY
         source = -skfem.LinearForm(lambda q, x: outflow * q * x.x[0]).assemble(self.p)
         drift = self._drift()
-        # The mean of the pressure is zero; its multiplier spreads what the boundary values leave of a net flux.
-        mean = sparse.csr_matrix(skfem.LinearForm(lambda q, x: q * x.x[0]).assemble(self.p)[:, None])
-        matrix = sparse.bmat([[viscous, -divergence.T, None], [-divergence, None, mean], [None, mean.T, None]]).tocsr()
-        free = np.zeros(self.p.N + 1, dtype=bool)
-        held = np.concatenate([self.wall | self.axis, self.wall, free])
-        values = np.concatenate([np.where(self.axis, 0.0, -drift[0]), -drift[1], np.zeros(free.size)])
-        x = self._solved(matrix, np.concatenate([*load, -source, [0.0]]), held, values)
+        matrix = sparse.bmat([[viscous, -divergence.T], [-divergence, None]]).tocsr()
+        held = np.concatenate([self.wall | self.axis, self.wall, np.arange(self.p.N) == 0])
+        values = np.concatenate([np.where(self.axis, 0.0, -drift[0]), -drift[1], np.zeros(self.p.N)])
+        right = np.concatenate([*load, -source])
+        # What the boundary values leave of a net flux is spread over the liquid.
+        flux, within = right - matrix @ np.where(held, values, 0.0), slice(2 * self.u.N, None)
+        volume = skfem.LinearForm(lambda q, x: q * x.x[0]).assemble(self.p)
+        right[within] -= volume * flux[within].sum() / volume.sum()
+        x = self._solved(matrix, right, held, values)
         return x[:2 * self.u.N].reshape(2, -1).real + drift
 
     def carried(self, points: Real) -> Real:
