@@ -56,7 +56,7 @@ def changed(wide: Problem, operators: FullOperators) -> list[tuple[dict[str, com
     """Parameters drawn within 5 % of their values, and the full model's impedance between the grid points."""
     rng = np.random.default_rng(5)
     found = []
-    for _ in range(3):
+    for _ in range(2):
         values = {name: value * (1.0 + rng.uniform(-0.05, 0.05)) for name, value in wide.values.items()}
         found.append((values, solve_full(operators, BETWEEN, values).impedance))
     return found
