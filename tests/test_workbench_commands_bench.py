@@ -92,9 +92,7 @@ def test_check_says_what_is_wrong(
     assert bench.drive == 0.0
 
 
-def test_check_of_an_open_circuit(
-    bench: SimulatedBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_of_an_open_circuit(bench: SimulatedBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bench.connect(open_circuit())
     assert cli.main(["bench", "check", written(tmp_path)]) == 1
     assert "CH2 (reference) shows no signal: is the circuit closed" in " ".join(capsys.readouterr().err.split())

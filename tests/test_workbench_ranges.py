@@ -16,14 +16,7 @@ from workbench.files.errors import InputError
 from workbench.model.discretisation import Discretisation
 from workbench.model.numbers import placed
 from workbench.reduced.compact import compacted
-from workbench.reduced.ranges import (
-    NotCovered,
-    OutOfRange,
-    RangeModel,
-    growing_model,
-    load_range_model,
-    range_model,
-)
+from workbench.reduced.ranges import NotCovered, OutOfRange, RangeModel, growing_model, load_range_model, range_model
 
 CHIP = """
 [chip]
