@@ -89,7 +89,8 @@ def _generate(app: Any) -> None:
     (made / "glossary.md").write_text(glossary_page.page(), encoding="utf-8")
     (made / "api.rst").write_text(api.page(), encoding="utf-8")
     architecture.draw(made / "architecture.png")
-    if not app.config.plot_gallery:
+    # A text, when it is given on the command line.
+    if str(app.config.plot_gallery) in {"0", "False"}:
         return
     # A minute of diagnoses, made again only after a change of the program.
     modules = [Path(verdict_pictures.__file__), *(ROOT / "workbench").rglob("*.py")]

@@ -6,6 +6,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from support import layer_text
+
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry
 from workbench.app.session import Session
@@ -17,29 +19,12 @@ TEXT = """
 [chip]
 name = "little chip"
 band = ["0.9 MHz", "1.1 MHz"]
-[[layers]]
-role = "transducer"
-material = "pic255/plutho"
-thickness = "2 mm"
-radius = "3 mm"
-electrodes = { live = "top" }
-[[layers]]
-role = "substrate"
-material = "pla/acevedo_2026"
-thickness = { value = "0.8 mm", tolerance = "20 um" }
-radius = "3 mm"
-[[layers]]
-role = "sidewall"
-material = "pla/acevedo_2026"
-thickness = "0.7 mm"
-radius = "3 mm"
-cavity_radius = "1.5 mm"
-[[layers]]
-role = "superstrate"
-material = "soda_lime_glass/independent_reference"
-thickness = "0.5 mm"
-radius = "3 mm"
-[states.filled]
+""" + "".join((
+    layer_text("transducer", "pic255/plutho", thickness="2 mm", radius="3 mm", electrodes='{ live = "top" }'),
+    layer_text("substrate", "pla/acevedo_2026", thickness='{ value = "0.8 mm", tolerance = "20 um" }', radius="3 mm"),
+    layer_text("sidewall", "pla/acevedo_2026", thickness="0.7 mm", radius="3 mm", cavity_radius="1.5 mm"),
+    layer_text("superstrate", "soda_lime_glass/independent_reference", thickness="0.5 mm", radius="3 mm"),
+)) + """[states.filled]
 cavity = "water"
 temperature = "20 degC"
 """
@@ -66,22 +51,11 @@ FILM_TEXT = """
 [chip]
 name = "disc on gel"
 band = ["0.9 MHz", "1.1 MHz"]
-[[layers]]
-role = "transducer"
-material = "pic255/plutho"
-thickness = "2 mm"
-radius = "3 mm"
-[[layers]]
-role = "couplant"
-material = "coupling_gel/acevedo_2026"
-thickness = "20 um"
-radius = "3 mm"
-[[layers]]
-role = "substrate"
-material = "pla/acevedo_2026"
-thickness = "0.8 mm"
-radius = "3 mm"
-[states.assembled]
+""" + "".join((
+    layer_text("transducer", "pic255/plutho", thickness="2 mm", radius="3 mm"),
+    layer_text("couplant", "coupling_gel/acevedo_2026", thickness="20 um", radius="3 mm"),
+    layer_text("substrate", "pla/acevedo_2026", thickness="0.8 mm", radius="3 mm"),
+)) + """[states.assembled]
 """
 GEL = "couplant.thickness"
 #: Its resonances are too sharp for a mesh that is coarser.

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from support import layer_text
 
 from workbench.campaign.campaign import Campaign, read_campaign
 from workbench.diagnosis.device import device_model
@@ -25,14 +26,7 @@ DISC = """
 [chip]
 name = "small"
 band = ["0.88 MHz", "1.12 MHz"]
-
-[[layers]]
-role = "transducer"
-material = "pzt/trial"
-thickness = "2 mm"
-radius = "3 mm"
-electrodes = { live = "top" }
-"""
+""" + layer_text("transducer", "pzt/trial", thickness="2 mm", radius="3 mm", electrodes='{ live = "top" }')
 #: Its one recording; what is known of it follows.
 DISC_RECORDED = """
 [campaign]
@@ -45,57 +39,22 @@ drive = "2 Vpp"
 """
 
 #: Gel and a printed part with a cavity on it.
-PRINTED = """
-[[layers]]
-role = "couplant"
-material = "gel/trial"
-thickness = "60 um"
-radius = "3 mm"
-
-[[layers]]
-role = "substrate"
-material = "pla/trial"
-thickness = "0.8 mm"
-radius = "3 mm"
-
-[[layers]]
-role = "sidewall"
-material = "pla/trial"
-thickness = "0.7 mm"
-radius = "3 mm"
-cavity_radius = "1.6 mm"
-"""
+PRINTED = "".join((
+    layer_text("couplant", "gel/trial", thickness="60 um", radius="3 mm"),
+    layer_text("substrate", "pla/trial", thickness="0.8 mm", radius="3 mm"),
+    layer_text("sidewall", "pla/trial", thickness="0.7 mm", radius="3 mm", cavity_radius="1.6 mm"),
+))
 
 #: A plate of a straight chip, and the stack on it.
 PLATE = DISC.replace('radius = "3 mm"', 'width = "5 mm"').replace('name = "small"', '''name = "plate"
 geometry = "straight"
 length = "6 mm"''')
-STACK = PLATE + """
-[[layers]]
-role = "couplant"
-material = "gel/trial"
-thickness = "60 um"
-half_width = "2 mm"
-
-[[layers]]
-role = "substrate"
-material = "pla/trial"
-thickness = "0.8 mm"
-half_width = "2 mm"
-
-[[layers]]
-role = "sidewall"
-material = "pla/trial"
-thickness = "0.7 mm"
-half_width = "2 mm"
-cavity_width = "0.8 mm"
-
-[[layers]]
-role = "superstrate"
-material = "glass/trial"
-thickness = "0.5 mm"
-half_width = "2 mm"
-
+STACK = PLATE + "".join((
+    layer_text("couplant", "gel/trial", thickness="60 um", half_width="2 mm"),
+    layer_text("substrate", "pla/trial", thickness="0.8 mm", half_width="2 mm"),
+    layer_text("sidewall", "pla/trial", thickness="0.7 mm", half_width="2 mm", cavity_width="0.8 mm"),
+    layer_text("superstrate", "glass/trial", thickness="0.5 mm", half_width="2 mm"),
+)) + """
 [states.empty]
 cavity = "vacuum"
 

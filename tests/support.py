@@ -37,54 +37,32 @@ from workbench.model.particles import FluidProperties, Particle, compressibility
 from workbench.physics.term import Condition, Term
 from workbench.report.page import TextTable
 
+
+def layer_text(role: str, material: str, **lines: str) -> str:
+    """A layer of a chip file. A value in brackets is written as it is, another one as text."""
+    keys = {"role": role, "material": material, **lines}
+    return "[[layers]]\n" + "".join(
+        f"{key} = {value if value[0] in '{[' else json.dumps(value)}\n" for key, value in keys.items())
+
+
 #: A transducer the size of a pea, as a chip file.
 DISC = """
 [chip]
 name = "small disc"
 band = ["300 kHz", "450 kHz"]
-
-[[layers]]
-role = "transducer"
-material = "pzt4/acevedo_2026_initial"
-density = "7500 kg/m^3"
-thickness = { value = "2 mm", tolerance = "10 um" }
-radius = "3 mm"
-"""
+""" + layer_text("transducer", "pzt4/acevedo_2026_initial", density="7500 kg/m^3",
+               thickness='{ value = "2 mm", tolerance = "10 um" }', radius="3 mm")
 #: The same with a printed sample on it.
-STACK = DISC.replace("small disc", "small stack") + """
-[[layers]]
-role = "couplant"
-material = "coupling_gel"
-thickness = "50 um"
-radius = "3 mm"
-
-[[layers]]
-role = "sample"
-material = "pla"
-thickness = "1 mm"
-radius = "3 mm"
-"""
+STACK = DISC.replace("small disc", "small stack") + "".join((
+    layer_text("couplant", "coupling_gel", thickness="50 um", radius="3 mm"),
+    layer_text("sample", "pla", thickness="1 mm", radius="3 mm"),
+))
 #: What turns a transducer into a chip with a cavity.
-CAVITY_LAYERS = """
-[[layers]]
-role = "substrate"
-material = "pla"
-thickness = "0.85 mm"
-radius = "3 mm"
-
-[[layers]]
-role = "sidewall"
-material = "pla"
-thickness = "0.72 mm"
-radius = "3 mm"
-cavity_radius = "1.5 mm"
-
-[[layers]]
-role = "superstrate"
-material = "pmma"
-thickness = "1 mm"
-radius = "3 mm"
-"""
+CAVITY_LAYERS = "".join((
+    layer_text("substrate", "pla", thickness="0.85 mm", radius="3 mm"),
+    layer_text("sidewall", "pla", thickness="0.72 mm", radius="3 mm", cavity_radius="1.5 mm"),
+    layer_text("superstrate", "pmma", thickness="1 mm", radius="3 mm"),
+))
 #: Such a chip about the half wave of its cavity, with a particle in water.
 CELL = DISC.replace("small disc", "small cell").replace('"300 kHz", "450 kHz"', '"0.9 MHz", "1.1 MHz"') + (
     CAVITY_LAYERS) + """

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -100,9 +102,23 @@ def design() -> Design:
     return next(each for each in found if len(each.tied) == 2)
 
 
-@pytest.fixture
-def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(section, "CELLS", 1.0)
+@pytest.fixture(scope="module")
+def _coarse() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(section, "CELLS", 1.0)
+        yield
+
+
+@pytest.fixture(scope="module")
+def device(design: Design, _coarse: None) -> Device:
+    uneven = random_inhomogeneity(np.random.default_rng(1), body(design.nominal, {}, EMPTY), 1e6)
+    return Device(design, uneven, order=3, tolerance=1e-10)
+
+
+@pytest.fixture(scope="module")
+def point(device: Device, design: Design) -> Any:
+    """The filled chip of the device as it is stated."""
+    return device.point(design.nominal, {}, FILLED)
 
 
 @pytest.mark.usefixtures("_coarse")
@@ -112,14 +128,14 @@ def test_the_tangents_of_fields_are_what_small_fields_do(design: Design, state: 
     values = {**design.nominal, "bench.series_resistance": 0.4, "bench.parallel_capacitance": 2e-12}
     none = {part: np.zeros_like(factors) for part, factors in drawn.factors.items()}
 
-    def device(factors: dict[str, NDArray[np.float64]]) -> Device:
+    def made(factors: dict[str, NDArray[np.float64]]) -> Device:
         return Device(design, replace(drawn, rms=1e-5, factors=factors), order=3, tolerance=1e-10)
 
-    still = device(none)
+    still = made(none)
     tangents = still.uneven_tangents(still.point(values, {}, state))
     assert {part for part, _ in tangents} == set(body(design.nominal, {}, state).extents())
     for kind in range(len(KINDS)):
-        moved = [device({part: sign * factors * (np.arange(3) == kind)[:, None]
+        moved = [made({part: sign * factors * (np.arange(3) == kind)[:, None]
                          for part, factors in drawn.factors.items()}).spectrum(values, {}, state)
                  for sign in (1.0, -1.0)]
         found = sum(tangents[part, KINDS[kind]] @ drawn.factors[part][kind] for part in drawn.factors
@@ -134,11 +150,8 @@ def test_the_tangents_of_fields_are_what_small_fields_do(design: Design, state: 
     "pzt/trial.c33", "pzt/trial.c33.loss", "pla/trial.density", "water/iapws_2011.sound_speed", "transducer.thickness",
     "transducer.radius", "couplant.thickness", "cavity.radius", "superstrate.thickness", "bench.gain", "bench.clock",
     "bench.series_inductance"])
-def test_a_tangent_is_what_a_small_change_does(design: Design, name: str) -> None:
-    uneven = random_inhomogeneity(np.random.default_rng(1), body(design.nominal, {}, EMPTY), 1e6)
-    device = Device(design, uneven, order=3, tolerance=1e-10)
+def test_a_tangent_is_what_a_small_change_does(design: Design, device: Device, point: Any, name: str) -> None:
     size = 5e-6 if name == "bench.clock" else design.prior[name]
-    point = device.point(design.nominal, {}, FILLED)
     found = device.tangent(point, design.nominal, {}, FILLED, name, size)
     step = 1e-2
     moved = [device.spectrum(design.moved(design.nominal, {name: sign * step * size}), {}, FILLED)

@@ -1,4 +1,4 @@
-"""The documentation: what is printed runs, what is named exists, and all of it is built without a warning."""
+"""The documentation: commands, files and names in it exist, and all of it is built without a warning."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from printed import PAGES, blocks
 
 import workbench as wb
 from workbench.bench.setup import Acquisition, Standards
@@ -24,42 +25,8 @@ from workbench.commands.options import command_parser
 from workbench.diagnosis.decision import VERDICTS
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-#: What takes more than some ten seconds.
-SLOW = ("wb.fit(", "wb.diagnose(", "wb.range_model(", "wb.design_model(", "wb.study(", "add_effect")
-#: A diagnosis in a block.
-DIAGNOSIS = re.compile(r'wb\.diagnose\(wb\.read_campaign\("[^"]+"\)\)')
-#: The first line of a block that needs the one before it.
-GOES_ON = "# goes on"
 #: Words of a command that stand for something of the reader's.
 STANDS_FOR = {"DIR", "FOLDER", "RECORDING"}
-
-
-def blocks(language: str) -> Iterator[tuple[str, str]]:
-    """(page and number, text) of the fenced blocks of a language."""
-    for page in PAGES:
-        found = re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-        for number, text in enumerate(found, 1):
-            yield f"{page.stem}-{number}", text
-
-
-def programs() -> Iterator[tuple[str, str]]:
-    """(page and number, text) of what runs by itself in Python: a block that says so goes on from the one before.
-
-    Those that print the same diagnosis are one, in which it is made once.
-    """
-    whole: list[tuple[str, str]] = []
-    for name, text in blocks("python"):
-        if text.startswith(GOES_ON):
-            whole.append((name, whole.pop()[1] + text))
-        else:
-            whole.append((name, text))
-    for call in sorted({each for _, text in whole for each in DIAGNOSIS.findall(text)}):
-        alike = [each for each in whole if call in each[1]]
-        together = "\n".join(text.replace(call, "made_once") for _, text in alike)
-        whole = [each for each in whole if each not in alike]
-        whole.append(("+".join(name for name, _ in alike), f"import workbench as wb\nmade_once = {call}\n{together}"))
-    yield from whole
 
 
 def commands() -> Iterator[tuple[str, str]]:
@@ -74,18 +41,6 @@ def test_the_walk_sees_what_there_is_to_see() -> None:
     # Or the tests below hold of nothing.
     assert {"README-1", "README-2", "diagnosis-1", "add_material-1"} <= {name for name, _ in blocks("python")}
     assert len(list(commands())) > 50
-
-
-@pytest.mark.parametrize(("name", "text"), [
-    pytest.param(name, text, id=name, marks=pytest.mark.slow if any(word in name + text for word in SLOW) else ())
-    for name, text in programs()])
-def test_python_that_is_printed_runs(name: str, text: str, tmp_path: Path) -> None:
-    for folder in ("geometry", "examples", "tests"):
-        (tmp_path / folder).symlink_to(ROOT / folder)
-    done = subprocess.run([sys.executable, "-W", "ignore", "-c", text], cwd=tmp_path, capture_output=True, text=True,
-                          env={**os.environ, "PYTHONPATH": str(ROOT), "XDG_DATA_HOME": str(tmp_path / "data")},
-                          timeout=900)
-    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(("name", "command"), [pytest.param(*both, id=f"{both[0]}: {both[1]}"[:80])

@@ -1,26 +1,31 @@
-"""The gallery: short scripts on the public names alone, each of which runs and states the number it is to find."""
+"""Examples and the programs that pages print: they run on public names, and examples print their reference numbers.
+
+They run in this process, and those that ask for the same simulation, fit, study or diagnosis share it.
+"""
 
 from __future__ import annotations
 
 import ast
-import os
-import subprocess
-import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from printed import ROOT, SHARED, programs, remembered
 
 import workbench as wb
 
-ROOT = Path(__file__).resolve().parent.parent
 #: The examples of the gallery that are run; those from 10 to 13 take minutes to hours, those from 16 to 17
 #: minutes (`tests/benchmarks/design.py` runs what they show).
 SHORT = sorted([*(ROOT / "examples").glob("0*.py"), *(ROOT / "examples").glob("1[45]_*.py"),
-                *(ROOT / "examples").glob("1[89]_*.py")])
-#: What takes more than some ten seconds on a quiet machine.
-SLOW = {"05_fit_a_polymer", "07_diagnose_a_campaign", "14_study", "18_your_own_shape",
-        "19_the_photograph"}
+                *(ROOT / "examples").glob("1[89]_*.py"), *(ROOT / "examples").glob("2*.py")])
+#: Words of programs that take more than some ten seconds.
+SLOW = ("wb.fit(", "wb.diagnose(", "wb.range_model(", "wb.design_model(", "wb.study(", "wb.tolerance(",
+        "wb.trajectories(", "domed_lid.toml")
+#: Programs of pages, and those of the gallery.
+PROGRAMS = dict(programs())
+GALLERY = {path.stem: path.read_text(encoding="utf-8") for path in SHORT}
 #: What an example may import beside `workbench`: the standard library and numpy.
 PLAIN = {"dataclasses", "numpy", "pathlib", "tempfile", "workbench"}
 #: Examples that look inside: this one switches single losses of one reduced model off and asks it for their power.
@@ -35,6 +40,7 @@ DRAWN = {
     "15_tolerance": {"yield.png", "samples.png", "tornado.png"},
     "18_your_own_shape": {"mesh_filled.png", "pressure_filled.png"},
     "19_the_photograph": {f"above_{energy}_{seconds}s.png" for energy in (15, 45) for seconds in (5, 60, 300, 1800)},
+    "20_solder": {"solder.png"},
 }
 #: Words of what an example prints: the number that its docstring states, as far as it is printed.
 SAID = {
@@ -48,6 +54,7 @@ SAID = {
     "09_bench_sweep": "f0 1.0332 MHz, the disc's own 1.0339 MHz",
     "15_tolerance": "f0 within 8 kHz: 51.4 % (48.3 to 54.5 %), linear estimate 79 %",
     "18_your_own_shape": "cavity 43.73 mm^3, f0 1.0298 MHz",
+    "20_solder": "ln Z changes by up to 226 %",
     "19_the_photograph": "15 J/m^3, 1.45 Vpp: the liquid carries beads with 1.7 um/s rms; the chip warms by 4 K",
 }
 
@@ -55,7 +62,7 @@ SAID = {
 def test_there_is_an_example_for_every_number() -> None:
     assert [path.stem for path in SHORT] == sorted(DRAWN) == sorted(SAID)
     numbers = [path.name[:2] for path in sorted((ROOT / "examples").glob("[0-9]*.py"))]
-    assert numbers == [f"{k:02d}" for k in range(1, 20)]
+    assert numbers == [f"{k:02d}" for k in range(1, 21)]
 
 
 def imported(tree: ast.AST) -> set[str]:
@@ -95,16 +102,49 @@ def test_an_example_of_the_gallery_is_short_and_plain(path: Path) -> None:
     assert "Reference number:" in docstring
 
 
-@pytest.mark.parametrize("path", [pytest.param(path, marks=pytest.mark.slow if path.stem in SLOW else ())
-                                  for path in SHORT], ids=lambda path: path.stem)
-def test_an_example_runs(path: Path, tmp_path: Path) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_DATA_HOME": str(tmp_path / "data"),
-                   "XDG_CACHE_HOME": str(tmp_path / "cache")}
-    done = subprocess.run([sys.executable, "-W", "ignore", str(path)], cwd=tmp_path, env=environment,
-                          capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
-    assert SAID[path.stem] in done.stdout
-    assert {picture.name for picture in (tmp_path / "out").rglob("*.png")} >= DRAWN[path.stem]
+@pytest.fixture(scope="module")
+def answers() -> dict[Any, Any]:
+    """Answers of slow functions, by their arguments."""
+    return {}
+
+
+@pytest.fixture
+def run(answers: dict[Any, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Runs the text of a program in a folder of its own."""
+    for folder in ("geometry", "examples", "tests"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for name, key in SHARED.items():
+        monkeypatch.setattr(wb, name, remembered(getattr(wb, name), key, answers))
+
+    def in_this_process(text: str) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            exec(compile(text, "program", "exec"), {"__name__": "__main__"})
+
+    return in_this_process
+
+
+def marked(programs: dict[str, str]) -> list[Any]:
+    """Their names as parameters, those of slow ones marked."""
+    return [pytest.param(name, marks=pytest.mark.slow if any(word in text for word in SLOW) else ())
+            for name, text in programs.items()]
+
+
+@pytest.mark.parametrize("name", marked(GALLERY))
+def test_an_example_runs(
+    name: str, run: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(GALLERY[name])
+    assert SAID[name] in capsys.readouterr().out
+    assert {picture.name for picture in (tmp_path / "out").rglob("*.png")} >= DRAWN[name]
+
+
+@pytest.mark.parametrize("name", marked(PROGRAMS))
+def test_python_that_is_printed_runs(name: str, run: Callable[[str], None]) -> None:
+    run(PROGRAMS[name])
 
 
 def test_the_small_campaign_is_read() -> None:

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from support import layer_text
 
 import geometry
 from geometry.chip import Chip, read_chip
@@ -26,33 +27,13 @@ CHIP = """
 [chip]
 name = "ring of any shape"
 band = ["0.9 MHz", "1.1 MHz"]
-
-[[layers]]
-role = "transducer"
-material = "pzt4/acevedo_2026_fitted"
-thickness = "2 mm"
-radius = "12.5 mm"
-
-[[layers]]
-role = "substrate"
-material = "pla/acevedo_2026"
-thickness = "0.85 mm"
-radius = "13 mm"
-
-[[layers]]
-role = "sidewall"
-material = "pla/acevedo_2026"
-thickness = "0.72 mm"
-radius = "13 mm"
-cavity_radius = "4 mm"
-profile = { PROFILE }
-
-[[layers]]
-role = "superstrate"
-material = "soda_lime_glass/independent_reference"
-thickness = "1 mm"
-radius = "13 mm"
-
+""" + "".join((
+    layer_text("transducer", "pzt4/acevedo_2026_fitted", thickness="2 mm", radius="12.5 mm"),
+    layer_text("substrate", "pla/acevedo_2026", thickness="0.85 mm", radius="13 mm"),
+    layer_text("sidewall", "pla/acevedo_2026", thickness="0.72 mm", radius="13 mm", cavity_radius="4 mm",
+               profile='{ PROFILE }'),
+    layer_text("superstrate", "soda_lime_glass/independent_reference", thickness="1 mm", radius="13 mm"),
+)) + """
 [states.filled]
 cavity = "water"
 """

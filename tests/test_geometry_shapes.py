@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import shape
+from support import layer_text, shape
 
 from geometry.chip import Chip, read_chip
 from geometry.chip_file import write_chip
@@ -160,39 +160,13 @@ CHIP = """
 [chip]
 name = "pea"
 band = ["0.3 MHz", "0.4 MHz"]
-
-[[layers]]
-role = "transducer"
-material = "pzt/trial"
-thickness = "2 mm"
-radius = "3 mm"
-
-[[layers]]
-role = "couplant"
-material = "gel/trial"
-thickness = "50 um"
-radius = "3 mm"
-
-[[layers]]
-role = "substrate"
-material = "pla/trial"
-thickness = "0.85 mm"
-radius = "3.5 mm"
-
-[[layers]]
-role = "sidewall"
-material = "pla/trial"
-thickness = "3 mm"
-radius = "3.5 mm"
-cavity_radius = "1.5 mm"
-SHAPE
-
-[[layers]]
-role = "superstrate"
-material = "glass/trial"
-thickness = "1 mm"
-radius = "3.5 mm"
-
+""" + "".join((
+    layer_text("transducer", "pzt/trial", thickness="2 mm", radius="3 mm"),
+    layer_text("couplant", "gel/trial", thickness="50 um", radius="3 mm"),
+    layer_text("substrate", "pla/trial", thickness="0.85 mm", radius="3.5 mm"),
+    layer_text("sidewall", "pla/trial", thickness="3 mm", radius="3.5 mm", cavity_radius="1.5 mm"),
+)) + """SHAPE
+""" + layer_text("superstrate", "glass/trial", thickness="1 mm", radius="3.5 mm") + """
 [states.empty]
 cavity = "vacuum"
 """

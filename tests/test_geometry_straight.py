@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import layer_text
 
 from geometry.chip import Chip, parse_chip, read_chip
 from geometry.chip_file import write_chip
@@ -27,39 +28,15 @@ band = ["1.5 MHz", "2.5 MHz"]
 geometry = "straight"
 length = "20 mm"
 symmetry = "even"
-
-[[layers]]
-role = "transducer"
-material = "pzt4/acevedo_2026_fitted"
-thickness = "1 mm"
-width = { value = "5 mm", tolerance = "40 um" }
-electrodes = { live = "bottom", ground_half_width = "2 mm" }
-
-[[layers]]
-role = "bond"
-material = "epoxy"
-thickness = "20 um"
-half_width = "1.5 mm"
-
-[[layers]]
-role = "substrate"
-material = "soda_lime_glass/ono_2020"
-thickness = "0.5 mm"
-half_width = "1.5 mm"
-
-[[layers]]
-role = "sidewall"
-material = "soda_lime_glass/ono_2020"
-thickness = "160 um"
-half_width = "1.5 mm"
-cavity_width = "380 um"
-
-[[layers]]
-role = "superstrate"
-material = "soda_lime_glass/ono_2020"
-thickness = "0.5 mm"
-half_width = "1.5 mm"
-
+""" + "".join((
+    layer_text("transducer", "pzt4/acevedo_2026_fitted", thickness="1 mm",
+               width='{ value = "5 mm", tolerance = "40 um" }',
+               electrodes='{ live = "bottom", ground_half_width = "2 mm" }'),
+    layer_text("bond", "epoxy", thickness="20 um", half_width="1.5 mm"),
+    layer_text("substrate", "soda_lime_glass/ono_2020", thickness="0.5 mm", half_width="1.5 mm"),
+    layer_text("sidewall", "soda_lime_glass/ono_2020", thickness="160 um", half_width="1.5 mm", cavity_width="380 um"),
+    layer_text("superstrate", "soda_lime_glass/ono_2020", thickness="0.5 mm", half_width="1.5 mm"),
+)) + """
 [states.filled]
 cavity = "water"
 """

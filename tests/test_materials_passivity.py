@@ -35,9 +35,7 @@ def _initial() -> Piezoelectric:
 def _with_losses(material: Piezoelectric, **losses: float) -> Piezoelectric:
     """`material` with imaginary stiffnesses (Pa); all those not named are zero."""
     names = ("c11", "c12", "c13", "c33", "c44", "eps11", "eps33")
-    changed: dict[str, Any] = {
-        name: complex(material.parameters()[name].real, losses.get(name, 0.0)) for name in names
-    }
+    changed: dict[str, Any] = {name: complex(material.parameters()[name].real, losses.get(name, 0.0)) for name in names}
     return replace(material, **changed)
 
 

@@ -162,9 +162,7 @@ def test_what_is_no_fit_is_not_saved(tmp_path: Path) -> None:
     (lambda: _found(fit=replace(FIT, notes=("\ud800",))), "can be encoded"),
     (lambda: _found(fit=replace(FIT, free=["c33"])), "fit: received.*becomes"),  # type: ignore[arg-type]
 ])  # fmt: skip
-def test_what_could_not_be_read_back_is_not_saved(
-    found: Callable[[], Material], message: str, tmp_path: Path
-) -> None:
+def test_what_could_not_be_read_back_is_not_saved(found: Callable[[], Material], message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
         save_fit(found(), "pzt4/disc_7", folder=tmp_path)
     assert not list(tmp_path.rglob("*"))

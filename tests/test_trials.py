@@ -143,6 +143,8 @@ def test_whoever_stops_keeps_what_is_finished_and_leaves_nothing_running(tmp_pat
     for name in ("0000", "0001", "0003"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "campaign.toml").touch()
+    begun = tmp_path / "begun"
+    begun.mkdir()
     (tmp_path / "stops.py").write_text(
         "import sys\nfrom functools import partial\nfrom pathlib import Path\nimport fake_trials, trials\n"
         "folder = Path(sys.argv[1])\n"
@@ -154,15 +156,19 @@ def test_whoever_stops_keeps_what_is_finished_and_leaves_nothing_running(tmp_pat
                           stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": PYTHONPATH}) as program:
         assert program.stdout is not None
         assert program.stdout.readline().startswith("0000 below_detection")
-        (tmp_path / "begun").unlink()
-        until = time.monotonic() + 20.0
-        while not (tmp_path / "begun").exists() and time.monotonic() < until:
+        for mark in begun.iterdir():
+            mark.unlink()
+        until = time.monotonic() + 60.0
+        while not (marks := list(begun.iterdir())):
+            assert time.monotonic() < until
             time.sleep(0.02)
         program.send_signal(number)
-        assert program.wait(10.0) == 128 + number
+        assert program.wait(30.0) == 128 + number
         assert program.stderr is not None
         assert f"stopped by {name}: what is finished is kept" in program.stderr.read()
-    time.sleep(3.0)
+    while any(Path("/proc", mark.name).exists() for mark in marks):
+        assert time.monotonic() < until
+        time.sleep(0.02)
     assert set(found(tmp_path)) == {"0000"}
 
 

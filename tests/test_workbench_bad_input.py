@@ -337,9 +337,7 @@ def test_a_mistake_in_the_command(mistake: str, folder: Path, capsys: pytest.Cap
     (["materials"], "ACTION"), (["materials", "remove", "pla"], "invalid choice: 'remove'"),
     (["materials", "withdraw", "pzt4/disc_7@1"], "--reason"), (["materials", "export", "-o", "x.json"], "NAME"),
 ])
-def test_what_argparse_refuses(
-    command: list[str], part: str, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_argparse_refuses(command: list[str], part: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(command)
     assert caught.value.code == 2

@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 
 from workbench.bench.plan import combined_points, expected_points, next_target
-from workbench.bench.setup import (
-    Acquisition,
-    BenchSetup,
-    Limits,
-    ReferenceResistor,
-    Standards,
-    SweepPlan,
-)
+from workbench.bench.setup import Acquisition, BenchSetup, Limits, ReferenceResistor, Standards, SweepPlan
 from workbench.instruments.instrument import GeneratorSettings, OscilloscopeSettings
 from workbench.results.merit import figures
 from workbench.results.spectrum import Spectrum

@@ -147,23 +147,23 @@ class Stop:
 def test_an_interrupted_full_spectrum_goes_on_where_it_stopped(
     cell: Path, tmp_path: Path, undrawn: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = ["simulate", str(cell), "--full", "--points", "13", "--no-cad", *SMALL, "-o"]
+    command = ["simulate", str(cell), "--full", "--points", "7", "--no-cad", *SMALL, "-o"]
     whole, stopped = tmp_path / "whole", tmp_path / "stopped"
     assert main([*command, str(whole)]) == 0
     # In the second state: the first one is done, and must not be solved again either.
-    first = Stop(13 + 5)
+    first = Stop(7 + 3)
     monkeypatch.setattr(states, "simulate_state", first)
     assert main([*command, str(stopped)]) == 130
     assert "holds spectrum_empty.csv, unfinished_empty.csv" in capsys.readouterr().err
     unfinished = stopped / "unfinished_filled.csv"
-    assert len(unfinished.read_text().splitlines()) == 1 + 5
+    assert len(unfinished.read_text().splitlines()) == 1 + 3
     # A kill may leave a line that reads as a number but lacks its last digits.
     text = unfinished.read_text()
     unfinished.write_text(text[:-4])
     second = Stop(10**6)
     monkeypatch.setattr(states, "simulate_state", second)
     assert main([*command, str(stopped)]) == 0
-    assert (first.solved, second.solved) == (18, 13 - 4)
+    assert (first.solved, second.solved) == (10, 7 - 2)
     for state in ("empty", "filled"):
         name = f"spectrum_{state}.csv"
         assert (stopped / name).read_bytes() == (whole / name).read_bytes()
@@ -180,9 +180,9 @@ def test_points_of_another_model_are_not_taken_over(
     entry = folder / "mine.toml"
     entry.write_text(package.read_text())
     disc.write_text(DISC.replace("pzt4/acevedo_2026_initial", "ceramic/mine"))
-    command = ["simulate", str(disc), "-o", str(tmp_path / "out"), "--full", "--points", "13", "--no-cad",
+    command = ["simulate", str(disc), "-o", str(tmp_path / "out"), "--full", "--points", "5", "--no-cad",
                "--materials", str(tmp_path / "own")]
-    monkeypatch.setattr(states, "simulate_state", Stop(4))
+    monkeypatch.setattr(states, "simulate_state", Stop(2))
     assert main([*command, *SMALL]) == 130
     if change == "chip":
         disc.write_text(disc.read_text().replace('radius = "3 mm"', 'radius = "3.001 mm"'))
@@ -191,7 +191,7 @@ def test_points_of_another_model_are_not_taken_over(
     again = Stop(10**6)
     monkeypatch.setattr(states, "simulate_state", again)
     assert main([*command, "--accuracy", "0.2 %" if change == "mesh" else "0.5 %"]) == 0
-    assert again.solved == 13
+    assert again.solved == 5
 
 
 def recorded(path: Path, chip: Path, *, scale: complex = 1.0) -> Spectrum:

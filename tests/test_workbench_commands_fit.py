@@ -202,9 +202,7 @@ def test_phases_that_are_no_numbers_are_refused(
     assert "nan" in capsys.readouterr().err
 
 
-def test_an_interruption_ends_with_its_status(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interruption_ends_with_its_status(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object, **__: object) -> FitResult:
         raise KeyboardInterrupt
 

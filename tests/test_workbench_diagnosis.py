@@ -9,17 +9,11 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from workbench.campaign.campaign import read_campaign
 from workbench.cli import main
-from workbench.diagnosis.device import Model, device_model
-from workbench.diagnosis.known_physics import UNNEEDED
-from workbench.diagnosis.likelihood import Likelihood
 
 TRIAL = Path(__file__).parent / "data" / "trials" / "0000"
 
@@ -79,29 +73,3 @@ def test_a_ceramic_that_softens_is_found_and_measured(tmp_path: Path, monkeypatc
     assert report.count("data:image/png") == 3
     assert "10^" in report  # odds
     assert all(unit in report for unit in ("GPa", "mm", "kg/m^3"))
-
-
-@pytest.fixture(scope="module")
-def stated(tmp_path_factory: pytest.TempPathFactory) -> Model:
-    """The model of disc and filled chip of a trial, with bases about what is stated."""
-    folder = tmp_path_factory.mktemp("stated") / "trial"
-    shutil.copytree(TRIAL, folder)
-    without(folder / "campaign.toml", "empty", "filled_low", "filled_high", "filled_again")
-    lean = device_model(read_campaign(folder / "campaign.toml"), accuracy=5e-3)
-    found = lean.of(lean.effects)
-    return replace(found, fitted=found.fitted.near(found.stated, {}, UNNEEDED))
-
-
-def test_what_no_free_parameter_needs_is_left_out(stated: Model) -> None:
-    """The same residuals and slopes by the known parameters, and no others."""
-    x = stated.stated
-    x[stated.index("transducer.radius")] *= 1.004
-    known, deviation = range(stated.known), Likelihood(stated, stated.fitted).point_deviations()
-    whole = stated.fitted(x, deviation=deviation)
-    part = stated.fitted(x, deviation=deviation, free=known)
-    assert whole.jacobian[:, stated.known:].any()
-    # The same numbers in another order of summation, times the quality.
-    assert part.vector == pytest.approx(whole.vector, rel=1e-8, abs=1e-8 * np.abs(whole.vector).max())
-    assert (part.jacobian[:, stated.known:] == 0.0).all()
-    size = np.abs(whole.jacobian[:, : stated.known]).max(axis=0)
-    assert (np.abs(part.jacobian - whole.jacobian)[:, : stated.known] <= 1e-7 * size).all()

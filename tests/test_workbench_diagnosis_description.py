@@ -47,12 +47,7 @@ from workbench.model.drive import VoltageDrive
 from workbench.model.numbers import Stated
 from workbench.model.problem import Problem
 from workbench.report.definitions import DEFINITIONS
-from workbench.report.diagnosis import (
-    diagnosis_record,
-    remainder_table,
-    unexplained_tables,
-    write_diagnosis_report,
-)
+from workbench.report.diagnosis import diagnosis_record, remainder_table, unexplained_tables, write_diagnosis_report
 from workbench.report.page import TextTable
 from workbench.results.spectrum import Spectrum
 

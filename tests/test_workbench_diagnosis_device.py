@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from own_recordings import DISC, DISC_RECORDED, any_recordings
+from own_recordings import DISC, DISC_RECORDED, PRINTED, any_recordings
+from support import layer_text
 
 from workbench.catalogue.effect import Effect
 from workbench.diagnosis.device import KEPT, Model, device_model
+from workbench.diagnosis.known_physics import UNNEEDED
+from workbench.diagnosis.likelihood import Likelihood
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -111,3 +116,41 @@ def test_a_model_that_was_made_serves_again(model: Model) -> None:
     assert model.of([rim], x) is last
     x[model.index(WIDTH)] = 0.1
     assert model.of([rim], x) is not narrow
+
+
+CHIP = DISC + PRINTED + layer_text("superstrate", "glass/trial", thickness="0.5 mm", radius="3 mm") + """
+[states.filled]
+cavity = "water"
+temperature = "25 degC"
+"""
+FILLED = """
+[states.filled]
+chip = "chip.toml"
+state = "filled"
+recording = "filled.csv"
+drive = "2 Vpp"
+temperature = "25 degC"
+
+[known]
+"transducer.radius" = "0.1 %"
+"pzt/trial.c33" = "1 %"
+"pla/trial.shear_modulus" = "2 %"
+"couplant.thickness" = "3 um"
+"""
+
+
+def test_what_no_free_parameter_needs_is_left_out(tmp_path: Path) -> None:
+    """The same residuals and slopes by the known parameters, and no others, on bases about what is stated."""
+    campaign = any_recordings(tmp_path, {"chip.toml": CHIP, "campaign.toml": FILLED}, FREQUENCIES)
+    lean = device_model(campaign, accuracy=5e-3)
+    every = lean.of(lean.effects)
+    fitted, x, known = every.fitted.near(every.stated, {}, UNNEEDED), every.stated, every.known
+    x[every.index("transducer.radius")] *= 1.004
+    deviation = Likelihood(every, fitted).point_deviations()
+    whole, part = fitted(x, deviation=deviation), fitted(x, deviation=deviation, free=range(known))
+    assert whole.jacobian[:, known:].any()
+    # The same numbers in another order of summation, times the quality.
+    assert part.vector == pytest.approx(whole.vector, rel=1e-8, abs=1e-8 * np.abs(whole.vector).max())
+    assert (part.jacobian[:, known:] == 0.0).all()
+    size = np.abs(whole.jacobian[:, :known]).max(axis=0)
+    assert (np.abs(part.jacobian - whole.jacobian)[:, :known] <= 1e-7 * size).all()

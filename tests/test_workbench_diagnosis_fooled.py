@@ -141,7 +141,7 @@ def test_a_lead_that_looks_like_damping_is_laid_to_the_bench(bench: Bench) -> No
     assert leads.low < 1.5 < leads.high
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_noise_with_a_colour_is_no_physics(bench: Bench, seed: int) -> None:
     bench.rng = np.random.default_rng(seed)
     known = {f"{PZT}.{name}": "2 %" for name in ("c33", "e33", "eps33")} | {f"{PZT}.c33.loss": "30 %"}

@@ -72,9 +72,7 @@ def test_the_model_of_one_state_is_that_of_all(models: LocalModels, name: str) -
     np.testing.assert_allclose(one, other, rtol=1e-10)
 
 
-def test_forms_that_two_models_share_are_projected_once(
-    models: LocalModels, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_forms_that_two_models_share_are_projected_once(models: LocalModels, monkeypatch: pytest.MonkeyPatch) -> None:
     """A model with one more term projects the forms of that term alone, and predicts as if it had projected all."""
     effect = models.rough.effect(LOAD)
     own = models.rough.of([effect])

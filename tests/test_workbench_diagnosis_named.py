@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from own_recordings import DISC, PRINTED, any_recordings, conceal
+from support import layer_text
 
 from workbench.campaign.campaign import Campaign
 from workbench.catalogue.catalogue import effects
@@ -28,20 +29,10 @@ FREQUENCIES = np.linspace(0.9e6, 1.1e6, 101)
 #: Of Z, for benchmarks: an error of the recordings far below their noise.
 FINER = 1e-4
 
-CHIP = DISC + PRINTED + """
-[[layers]]
-role = "bond"
-material = "epoxy/trial"
-thickness = "60 um"
-radius = "3 mm"
-cavity_radius = "1.6 mm"
-
-[[layers]]
-role = "superstrate"
-material = "glass/trial"
-thickness = "0.5 mm"
-radius = "3 mm"
-
+CHIP = DISC + PRINTED + "".join((
+    layer_text("bond", "epoxy/trial", thickness="60 um", radius="3 mm", cavity_radius="1.6 mm"),
+    layer_text("superstrate", "glass/trial", thickness="0.5 mm", radius="3 mm"),
+)) + """
 [states.filled]
 cavity = "water"
 temperature = "25 degC"

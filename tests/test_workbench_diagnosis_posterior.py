@@ -55,6 +55,12 @@ def recorded(folder: Path, values: Mapping[str, float]) -> tuple[Model, Real]:
     return device_model(campaign, accuracy=1e-3), x
 
 
+@pytest.fixture(scope="module")
+def resistive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Model, Real]:
+    """As recorded by a contact of 0.6 ohm."""
+    return recorded(tmp_path_factory.mktemp("resistive"), CONCEALED)
+
+
 def settled(device: Model, name: str, truth: Real, scales: Scales | None = None) -> Posterior:
     """The posterior of a hypothesis at the optimum near the known parameters of the truth (p,)."""
     hypothesis = Hypothesis(tuple(effect for effect in device.effects if effect.name == name))
@@ -214,8 +220,8 @@ def test_the_evidence_of_a_disc_is_the_integral_of_its_posterior(tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_the_bayes_factor_of_a_disc_is_that_of_nested_sampling(tmp_path: Path) -> None:
-    device, truth = recorded(tmp_path, CONCEALED)
+def test_the_bayes_factor_of_a_disc_is_that_of_nested_sampling(resistive: tuple[Model, Real]) -> None:
+    device, truth = resistive
     worth, error, laplace = [], [], []
     for name in (RESISTANCE, "nothing"):
         posterior = settled(device, name, truth)
@@ -233,8 +239,8 @@ def test_the_bayes_factor_of_a_disc_is_that_of_nested_sampling(tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_a_diagnosis_gives_the_posterior_of_any_hypothesis(tmp_path: Path) -> None:
-    device, _ = recorded(tmp_path, CONCEALED)
+def test_a_diagnosis_gives_the_posterior_of_any_hypothesis(resistive: tuple[Model, Real]) -> None:
+    device, _ = resistive
     found = diagnose_model(device)
     final = {each.explanation.hypothesis.name: each.explanation for each in found.found.final}
     assert found.posterior().hypothesis.name == found.decision.chosen.name

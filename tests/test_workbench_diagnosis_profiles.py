@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from own_recordings import DISC, PRINTED, any_recordings, conceal
+from support import layer_text
 
 from workbench.catalogue.catalogue import effects_and_others
 from workbench.catalogue.effect import Device
@@ -19,13 +20,7 @@ pytestmark = pytest.mark.slow
 FREQUENCIES = np.linspace(0.9e6, 1.1e6, 61)
 
 #: A lid of glass with a shallow cone below, on a printed wall.
-CHIP = DISC + PRINTED + """
-[[layers]]
-role = "superstrate"
-material = "glass/trial"
-thickness = "0.5 mm"
-radius = "3 mm"
-
+CHIP = DISC + PRINTED + layer_text("superstrate", "glass/trial", thickness="0.5 mm", radius="3 mm") + """
 [layers.profile]
 parameters = { hollow = "0.05 mm", rim = "1.6 mm" }
 points = [["0 mm", "hollow"], ["rim", "0 mm"], ["radius", "0 mm"], ["radius", "thickness"], ["0 mm", "thickness"]]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import moved_onto, quadratic
+from support import layer_text, moved_onto, quadratic
 
 from geometry.chip import Chip, read_chip
 from geometry.mesh import MeshError
@@ -22,40 +22,14 @@ CHIP = """
 [chip]
 name = "two rings"
 band = ["0.4 MHz", "0.6 MHz"]
-[[layers]]
-role = "transducer"
-material = "pic255/plutho"
-thickness = "2 mm"
-radius = "3 mm"
-electrodes = { live = "top" }
-[[layers]]
-role = "couplant"
-material = "coupling_gel/acevedo_2026"
-thickness = "40 um"
-radius = "3 mm"
-[[layers]]
-role = "substrate"
-material = "pla/acevedo_2026"
-thickness = "0.8 mm"
-radius = "3.5 mm"
-[[layers]]
-role = "sidewall"
-material = "pla/acevedo_2026"
-thickness = "0.7 mm"
-radius = "3.5 mm"
-cavity_radius = "1.5 mm"
-[[layers]]
-role = "bond"
-material = "epoxy/acevedo_2026"
-thickness = "60 um"
-radius = "3.5 mm"
-cavity_radius = "2 mm"
-[[layers]]
-role = "superstrate"
-material = "soda_lime_glass"
-thickness = "0.8 mm"
-radius = "3.5 mm"
-[states.filled]
+""" + "".join((
+    layer_text("transducer", "pic255/plutho", thickness="2 mm", radius="3 mm", electrodes='{ live = "top" }'),
+    layer_text("couplant", "coupling_gel/acevedo_2026", thickness="40 um", radius="3 mm"),
+    layer_text("substrate", "pla/acevedo_2026", thickness="0.8 mm", radius="3.5 mm"),
+    layer_text("sidewall", "pla/acevedo_2026", thickness="0.7 mm", radius="3.5 mm", cavity_radius="1.5 mm"),
+    layer_text("bond", "epoxy/acevedo_2026", thickness="60 um", radius="3.5 mm", cavity_radius="2 mm"),
+    layer_text("superstrate", "soda_lime_glass", thickness="0.8 mm", radius="3.5 mm"),
+)) + """[states.filled]
 cavity = "water"
 """
 

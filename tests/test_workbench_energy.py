@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support import quadratic
 
 import workbench as wb
 from geometry.chip import parse_chip, read_chip
@@ -165,7 +166,8 @@ def test_a_chip_file_states_its_operating_point(small_chip: wb.Chip, tmp_path: P
 
 def test_simulate_takes_the_point_that_is_asked_for() -> None:
     chip = read_chip(SMALL_CHIP)
-    runs = {at: wb.simulate(chip, "filled", at=at, points=61, accuracy=2e-2) for at in (None, AT_F0, AT_ENERGY)}
+    runs = {at: wb.simulate(chip, "filled", at=at, points=61, accuracy=quadratic(4.0)) for at in (
+        None, AT_F0, AT_ENERGY)}
     assert runs[AT_F0].figures is not None
     assert runs[AT_F0].fields.frequency == runs[AT_F0].figures.f0
     assert runs[None].fields.frequency == runs[AT_ENERGY].fields.frequency

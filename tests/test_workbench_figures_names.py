@@ -293,9 +293,7 @@ def test_a_misfit_is_good_or_poor(rms: float, chi: float | None, words: str) -> 
 # ---- a model that is not good enough
 
 
-def test_a_model_that_failed_names_its_state_and_the_remedies(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_model_that_failed_names_its_state_and_the_remedies(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def gives_up(*arguments: Any, **given: Any) -> object:
         rough: Mapping[str, Any] = {**given, "tolerance": 0.1, "first": 3, "confirmed": False}
         raise NotEnriched(1.5e-3, 1e-4, 40, reduced(*arguments, **rough))

@@ -12,16 +12,7 @@ from support import quadratic
 
 from materials import Registry
 from workbench.files.errors import InputError
-from workbench.fitting.batch import (
-    BatchMember,
-    Job,
-    Settings,
-    content_key,
-    finished,
-    outlying,
-    read_batch,
-    summarise,
-)
+from workbench.fitting.batch import BatchMember, Job, Settings, content_key, finished, outlying, read_batch, summarise
 from workbench.report.fit_batch import summary_record
 
 GOOD = """

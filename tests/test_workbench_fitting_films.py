@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import layer_text
 
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry
@@ -22,22 +23,11 @@ STACK = """
 [chip]
 name = "sample of PLA"
 band = ["0.9 MHz", "1.17 MHz"]
-[[layers]]
-role = "transducer"
-material = "pzt4/acevedo_2026_initial"
-thickness = "2 mm"
-radius = "3 mm"
-[[layers]]
-role = "couplant"
-material = "coupling_gel"
-thickness = "20 um"
-radius = "3 mm"
-[[layers]]
-role = "sample"
-material = "pla/acevedo_2026"
-thickness = "1 mm"
-radius = "3 mm"
-"""
+""" + "".join((
+    layer_text("transducer", "pzt4/acevedo_2026_initial", thickness="2 mm", radius="3 mm"),
+    layer_text("couplant", "coupling_gel", thickness="20 um", radius="3 mm"),
+    layer_text("sample", "pla/acevedo_2026", thickness="1 mm", radius="3 mm"),
+))
 GEL, BULK, SHEAR = "couplant.thickness", "pla/acevedo_2026.bulk_modulus", "pla/acevedo_2026.shear_modulus"
 TRUTH = {GEL: 31e-6, BULK: 1.08, SHEAR: 0.94}
 NOISE, FREQUENCIES = 1e-3, np.linspace(0.9e6, 1.17e6, 181)

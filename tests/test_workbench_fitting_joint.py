@@ -430,9 +430,7 @@ def test_a_loss_that_makes_energy_is_refused(disc: Problem, chip: Chip) -> None:
 
 
 @pytest.mark.parametrize(("points", "every"), [(61, 1), (241, 1), (600, 2), (1201, 5)])
-def test_long_recordings_are_searched_on_a_part_of_their_points(
-    disc: Problem, points: int, every: int
-) -> None:
+def test_long_recordings_are_searched_on_a_part_of_their_points(disc: Problem, points: int, every: int) -> None:
     frequency = np.linspace(300e3, 700e3, points)
     number = np.arange(1.0, points + 1.0)
     whole = FitRecording("long", disc, Spectrum(frequency, np.asarray(number, dtype=complex), number))

@@ -118,9 +118,7 @@ def test_the_impedance_is_that_of_the_bench(stack: Problem) -> None:
     assert found[SOME] == pytest.approx(exact, rel=OPTIMISM * 1e-6)
 
 
-def test_every_full_solve_is_counted_and_none_is_spent_twice(
-    stack: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_full_solve_is_counted_and_none_is_spent_twice(stack: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     neighbours = workbench.fem.solve.System.neighbours
     factorised: list[float] = []
 

@@ -188,9 +188,7 @@ def test_opening_switches_the_drive_off_and_makes_it_a_plain_sine(
     assert amplitudes == [b"ba00.00\n", b"ba00.00\n", b"ba03.00\n"]
 
 
-def test_only_what_all_drivers_agree_on_is_sent(
-    monkeypatch: pytest.MonkeyPatch, wire: Wire
-) -> None:
+def test_only_what_all_drivers_agree_on_is_sent(monkeypatch: pytest.MonkeyPatch, wire: Wire) -> None:
     """No sweep commands (one of which overwrites stored set-ups), no waveform but sine, at most 15 bytes."""
     monkeypatch.setattr(feeltech, "open_port", lambda _name, baud, timeout: wire)
     generator = open_feeltech(GeneratorSettings("wire", pause=0.0))

@@ -208,9 +208,7 @@ def test_a_setting_may_read_back_in_its_short_form(oscilloscope: Tektronix, wire
 @pytest.mark.parametrize(("found", "what"), [
     (b'"Ch2,', "expected 1 for the channel; 2 came"),
     (b";8.0E-9;", "s per point"), (b";8.1E-3;", "V per count"), (b";-4.0E-6;", "start")])
-def test_a_record_of_other_settings_is_an_error(
-    oscilloscope: Tektronix, wire: Wire, found: bytes, what: str
-) -> None:
+def test_a_record_of_other_settings_is_an_error(oscilloscope: Tektronix, wire: Wire, found: bytes, what: str) -> None:
     right = {b'"Ch2,': b'"Ch1,', b";8.0E-9;": b";4.0E-9;", b";8.1E-3;": b";8.0E-3;", b";-4.0E-6;": b";-5.0E-6;"}[found]
     answers(wire, WFMPRE=lambda answer: answer.replace(right, found))
     with pytest.raises(InstrumentError, match=f"sent 'WFMPRE\\?'.*{what}"):

@@ -171,7 +171,7 @@ def test_at_the_end_nothing_is_waited_for() -> None:
         while not waiting.running():
             time.sleep(0.01)
     assert never.cancelled()
-    assert time.monotonic() - began < 5.0
+    assert time.monotonic() - began < 30.0
     assert gone(pid)
     assert isinstance(waiting.exception(), WorkerEnded)
 
@@ -217,14 +217,14 @@ def test_results_come_as_they_are_sent(tmp_path: Path) -> None:
 
 def test_a_stream_ends_at_once_with_its_process() -> None:
     stopped = threading.Event()
-    found = stream(partial(count, last=100, pause=10.0), stopped=stopped.is_set)
+    found = stream(partial(count, last=100, pause=60.0), stopped=stopped.is_set)
     _, pid = next(found)
     began = time.monotonic()
     threading.Timer(0.1, stopped.set).start()
     assert not list(found)
-    assert time.monotonic() - began < 2.0
+    assert time.monotonic() - began < 30.0
     assert gone(pid)
-    found = stream(partial(count, last=100, pause=10.0))
+    found = stream(partial(count, last=100, pause=60.0))
     _, pid = next(found)
     found.close()
     assert gone(pid)

@@ -65,9 +65,7 @@ def off(place: LocalBasis, operators: FullOperators, values: Mapping[str, comple
     return float(np.abs(reduced / solve_full(operators, CHECKED, values).impedance - 1.0).max())
 
 
-def test_the_spectrum_is_that_of_the_full_model(
-    place: LocalBasis, operators: FullOperators, stack: Problem
-) -> None:
+def test_the_spectrum_is_that_of_the_full_model(place: LocalBasis, operators: FullOperators, stack: Problem) -> None:
     """At the centre, and where every parameter has moved to one side or the other.
 
     There the error is of second order in the moves, a few per cent of a resonance's width each.

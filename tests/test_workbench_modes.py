@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from support import layer_text
 
 import workbench as wb
 from workbench.cli import main
@@ -27,13 +28,7 @@ DISC = """
 [chip]
 name = "disc"
 band = ["0.95 MHz", "1.08 MHz"]
-[[layers]]
-role = "transducer"
-material = "pz26/ferroperm"
-thickness = "2 mm"
-radius = "5 mm"
-electrodes = { live = "top" }
-"""
+""" + layer_text("transducer", "pz26/ferroperm", thickness="2 mm", radius="5 mm", electrodes='{ live = "top" }')
 
 @pytest.fixture
 def disc(tmp_path: Path) -> wb.Chip:

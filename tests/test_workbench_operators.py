@@ -128,9 +128,7 @@ def test_a_coefficient_that_is_no_monomial_gets_a_group_of_its_own(filled_operat
         def __call__(self, omega: NDArray[np.float64], values: Values) -> NDArray[np.complex128]:
             return np.asarray(1.0 / (1.0 - 1j * omega * values["time"]), dtype=np.complex128)
 
-        def derivative(
-            self, omega: NDArray[np.float64], values: Values, name: str
-        ) -> NDArray[np.complex128]:
+        def derivative(self, omega: NDArray[np.float64], values: Values, name: str) -> NDArray[np.complex128]:
             raise NotImplementedError
 
     integral: Integral = replace(filled_operators.integrals[0], coefficient=Relaxing())

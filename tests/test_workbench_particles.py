@@ -15,11 +15,7 @@ from support import FluidState, block_mesh, standing_wave
 from materials import Fluid
 from workbench.acoustics.forces import ParticleForces, focus_time_along, force_at, particle_forces
 from workbench.acoustics.nodal import gradient, interpolate
-from workbench.acoustics.radiation import (
-    acoustic_energy_density,
-    gorkov_potential,
-    radiation_force,
-)
+from workbench.acoustics.radiation import acoustic_energy_density, gorkov_potential, radiation_force
 from workbench.acoustics.traps import find_traps, focus_time
 from workbench.model.particles import (
     FluidProperties,

@@ -433,9 +433,7 @@ def layered(filled: Problem) -> tuple[FullOperators, dict[str, complex]]:
 FREQUENCY = np.linspace(300e3, 400e3, 5)
 
 
-def test_energy_closes_and_the_layers_lose_what_stokes_says(
-    layered: tuple[FullOperators, dict[str, complex]]
-) -> None:
+def test_energy_closes_and_the_layers_lose_what_stokes_says(layered: tuple[FullOperators, dict[str, complex]]) -> None:
     operators, values = layered
     solution = solve_full(operators, FREQUENCY, values)
     losses = solution.dissipation()

@@ -260,9 +260,7 @@ def test_a_squeezed_layer_absorbs_as_a_viscous_fluid() -> None:
     ({"upper": "couplant|lid"}, "no region or boundary 'couplant.lid'"),
     ({"above": "cavity"}, "'cavity' has no unknown 'u_[rz]'"),
 ])
-def test_walls_that_do_not_face_each_other_are_refused(
-    filled: Problem, change: dict[str, str], message: str
-) -> None:
+def test_walls_that_do_not_face_each_other_are_refused(filled: Problem, change: dict[str, str], message: str) -> None:
     with pytest.raises(ModelError, match=message):
         assemble(filled.mesh, (*filled.terms, replace(TERM, **change)))
 

@@ -75,22 +75,26 @@ def at(effect: Effect, model: Problem, share: float) -> dict[str, complex]:
     return values
 
 
-def check_slopes(operators: FullOperators, solution: Solution, values: Mapping[str, complex], effect: Effect) -> int:
-    """The derivatives of Z are those of differences, to the side within the bounds; how many of them are not zero."""
+def check_slopes(
+    operators: FullOperators, solution: Solution, values: Mapping[str, complex], effect: Effect, point: int
+) -> int:
+    """The derivatives of Z at a frequency are those of differences, to the side within the bounds; how many are not
+    zero."""
+    frequency, impedance = FREQUENCY[[point]], solution.impedance[[point]]
     moved = 0
     for p in effect.parameters:
         key = ParameterName.parse(p.name).key
         unit = (1j if p.is_loss else 1.0) * (1.0 if p.high > p.start else -1.0)
-        slope = solution.parameter_gradient(values, (key,))[:, 0] * unit
-        size = float(np.max(np.abs(slope / solution.impedance)))
+        slope = solution.parameter_gradient(values, (key,))[[point], 0] * unit
+        size = float(np.abs(slope / impedance)[0])
         if size == 0.0:
             continue
         moved += 1
         # A change of Z of 1e-6: rounding of Z, 1e-11, is far below it, the curvature too.
         step = min(1e-6 / size, 1e-3 * (p.high - p.low))
-        one, two = (solve_full(operators, FREQUENCY, {**values, key: values[key] + k * step * unit}).impedance
+        one, two = (solve_full(operators, frequency, {**values, key: values[key] + k * step * unit}).impedance
                     for k in (1, 2))
-        found = (4.0 * one - 3.0 * solution.impedance - two) / (2.0 * step)
+        found = (4.0 * one - 3.0 * impedance - two) / (2.0 * step)
         assert np.abs(found - slope).max() < 2e-3 * np.abs(slope).max(), p.name
     return moved
 
@@ -101,7 +105,7 @@ def test_an_effect_is_passive_balanced_and_differentiable(name: str) -> None:
     model = model_of(effect)
     operators = assemble(model.mesh, model.terms)
     start = at(effect, model, 0.0)
-    assert check_slopes(operators, solve_full(operators, FREQUENCY, start), start, effect)
+    assert check_slopes(operators, solve_full(operators, FREQUENCY[:1], start), start, effect, 0)
     for share in PLACES:
         values = at(effect, model, share)
         solution = solve_full(operators, FREQUENCY, values)
@@ -112,7 +116,7 @@ def test_an_effect_is_passive_balanced_and_differentiable(name: str) -> None:
             mine = [q for q, integral in enumerate(operators.integrals) if integral.place == place]
             assert (losses[:, mine].sum(axis=1) > -1e-9 * power).all(), (share, place)
         if share < 1.0:
-            check_slopes(operators, solution, values, effect)
+            check_slopes(operators, solution, values, effect, 1)
 
 
 @pytest.mark.parametrize("name", sorted(catalogue()))

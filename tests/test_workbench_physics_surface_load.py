@@ -110,9 +110,7 @@ def test_a_small_resistance_gives_the_half_wave_its_quality(
     assert found == pytest.approx(quality, rel=1e-3)
 
 
-def test_a_matched_load_lets_no_wave_return(
-    plate: tuple[FullOperators, dict[str, complex], Piezoelectric]
-) -> None:
+def test_a_matched_load_lets_no_wave_return(plate: tuple[FullOperators, dict[str, complex], Piezoelectric]) -> None:
     # With Z = rho c on both faces each sends one wave through the plate, and neither comes back:
     # u(d/2) - u(-d/2) = (h D / (i w rho c)) (e^{i k d} - 1).
     operators, values, material = plate

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import layer_text
 
 from geometry.chip import Chip, read_chip
 from materials.registry import Registry
@@ -29,23 +30,11 @@ CHIP = """
 [chip]
 name = "disc, gel, sample"
 band = ["0.4 MHz", "0.55 MHz"]
-[[layers]]
-role = "transducer"
-material = "pic255/plutho"
-thickness = "2 mm"
-radius = "3 mm"
-electrodes = { live = "top" }
-[[layers]]
-role = "couplant"
-material = "coupling_gel/acevedo_2026"
-thickness = "40 um"
-radius = "3 mm"
-[[layers]]
-role = "sample"
-material = "pla/acevedo_2026"
-thickness = "0.8 mm"
-radius = "3.5 mm"
-[states.bench]
+""" + "".join((
+    layer_text("transducer", "pic255/plutho", thickness="2 mm", radius="3 mm", electrodes='{ live = "top" }'),
+    layer_text("couplant", "coupling_gel/acevedo_2026", thickness="40 um", radius="3 mm"),
+    layer_text("sample", "pla/acevedo_2026", thickness="0.8 mm", radius="3.5 mm"),
+)) + """[states.bench]
 temperature = "25 degC"
 """
 PLA = "pla/acevedo_2026"

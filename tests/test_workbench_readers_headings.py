@@ -367,9 +367,7 @@ def test_a_faulty_map_is_answered_with_one_that_works(tmp_path: Path) -> None:
     assert read_column_map(path).second == "angle"
 
 
-def test_the_command_line_refuses_with_the_map_whole(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_line_refuses_with_the_map_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """No line of the map is wrapped, and what follows it is nothing."""
     head, columns, _, _ = REFUSED["phase without unit"]
     path = table(tmp_path / "table.csv", head, *columns)

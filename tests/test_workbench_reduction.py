@@ -29,9 +29,7 @@ OPTIMISM = 2.0
 
 
 @pytest.fixture(scope="module")
-def wide(
-    small_chip: Chip, filled_materials: dict[str, Material], meshed: Callable[..., Problem]
-) -> Problem:
+def wide(small_chip: Chip, filled_materials: dict[str, Material], meshed: Callable[..., Problem]) -> Problem:
     """The filled small chip over more than an octave, which takes several enrichments."""
     return meshed(replace(small_chip, band=(300e3, 1000e3)), filled_materials, elements_per_wavelength=4.0)
 
@@ -56,7 +54,7 @@ def changed(wide: Problem, operators: FullOperators) -> list[tuple[dict[str, com
     """Parameters drawn within 5 % of their values, and the full model's impedance between the grid points."""
     rng = np.random.default_rng(5)
     found = []
-    for _ in range(3):
+    for _ in range(2):
         values = {name: value * (1.0 + rng.uniform(-0.05, 0.05)) for name, value in wide.values.items()}
         found.append((values, solve_full(operators, BETWEEN, values).impedance))
     return found
@@ -90,9 +88,7 @@ def test_the_estimate_tells_when_other_parameters_spoil_the_basis(
         assert (estimate * OPTIMISM > error)[error > TOLERANCE].all()
 
 
-def test_the_estimate_follows_the_error_down(
-    reduced: ReducedModel, wide: Problem, operators: FullOperators
-) -> None:
+def test_the_estimate_follows_the_error_down(reduced: ReducedModel, wide: Problem, operators: FullOperators) -> None:
     # Charge is a quadratic form of the state: 10 times closer parameters leave a 100 times smaller error and estimate.
     estimates = []
     for change in (1e-2, 1e-3):
@@ -318,9 +314,7 @@ def assert_consistent(model: ReducedModel) -> None:
     assert model.sizes.shape == (rank - 1,)
 
 
-def test_a_joined_model_spans_what_it_is_given(
-    wide: Problem, operators: FullOperators, reduced: ReducedModel
-) -> None:
+def test_a_joined_model_spans_what_it_is_given(wide: Problem, operators: FullOperators, reduced: ReducedModel) -> None:
     values = {**wide.values, "pla.shear_modulus": 0.9 * wide.values["pla.shear_modulus"]}
     found = solve_full(operators, GRID[[10, 70]], values)
     states = found.states / np.sqrt(np.abs(found.charge))

@@ -28,16 +28,7 @@ from workbench.report.figures import (
     figures_rows,
     figures_table,
 )
-from workbench.report.page import (
-    Answer,
-    Block,
-    Note,
-    TextTable,
-    Verbatim,
-    number_text,
-    table,
-    write_report,
-)
+from workbench.report.page import Answer, Block, Note, TextTable, Verbatim, number_text, table, write_report
 from workbench.report.record import record
 from workbench.report.resonances import (
     RESONANCE_COLUMNS,

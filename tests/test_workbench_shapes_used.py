@@ -41,7 +41,7 @@ def chip(tmp_path_factory: pytest.TempPathFactory) -> Chip:
     """A small chip whose wall has a draft of 0 within 2 degrees."""
     path = Path(tmp_path_factory.mktemp("chip")) / "chip.toml"
     wall = 'cavity_radius = "1.5 mm"\n'
-    below = STACK.split('\n[[layers]]\nrole = "sample"')[0]
+    below = STACK.split('[[layers]]\nrole = "sample"')[0]
     path.write_text(below + CAVITY_LAYERS.replace(
         wall, wall + 'draft = { value = "0 deg", tolerance = "2 deg" }\n') + '[states.filled]\ncavity = "water"\n')
     return read_chip(path)

@@ -284,9 +284,7 @@ def test_a_model_that_is_singular_everywhere_is_an_error(disc: Chip, monkeypatch
             simulate(disc, points=21, accuracy=quadratic(ELEMENTS), full=full)
 
 
-def test_a_chip_whose_full_solve_fails_has_no_figures_and_a_reason(
-    disc: Chip, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_chip_whose_full_solve_fails_has_no_figures_and_a_reason(disc: Chip, monkeypatch: pytest.MonkeyPatch) -> None:
     plain = full_evaluation(disc, None, {}, figures=("f0", "q"), points=21, accuracy=quadratic(ELEMENTS))
     assert plain.figures["f0"] > 0.0
 

@@ -22,9 +22,7 @@ VISCOSITY = 0.89e-3
 PLANE = Straight()
 
 
-def grid(
-    width: float, height: float, across: int, up: int, order: int, measure: Measure = PLANE
-) -> NodalMesh:
+def grid(width: float, height: float, across: int, up: int, order: int, measure: Measure = PLANE) -> NodalMesh:
     """A rectangle from the origin in equal cells."""
     step = np.array([width / across, height / up])
     place = np.stack(np.meshgrid(np.arange(across), np.arange(up), indexing="ij"), axis=-1).reshape(-1, 2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -157,11 +158,15 @@ def test_a_half_and_the_whole_have_the_same_figures() -> None:
 RANGES = {"cavity.half_width": (1.8e-4, 2.0e-4), "superstrate.thickness": (0.47e-3, 0.53e-3)}
 
 
-@pytest.fixture(scope="module", params=["even", "odd"])
+@cache
+def modelled(symmetry: str) -> DesignModel:
+    return design_model(chip(of_symmetry(symmetry)), "filled", RANGES, figures=FIGURES, band=BAND, points=41,
+                        accuracy=COARSE, operation=Operation(drive=WATT, thermal_resistance=WARM))
+
+
+@pytest.fixture(params=["even", "odd"])
 def model(request: pytest.FixtureRequest) -> tuple[str, DesignModel]:
-    text = of_symmetry(request.param)
-    return text, design_model(chip(text), "filled", RANGES, figures=FIGURES, band=BAND, points=41, accuracy=COARSE,
-                              operation=Operation(drive=WATT, thermal_resistance=WARM))
+    return of_symmetry(request.param), modelled(request.param)
 
 
 def test_a_model_has_the_figures_of_full_solves(model: tuple[str, DesignModel]) -> None:
@@ -310,9 +315,7 @@ def test_tolerances_of_half_widths_give_sensitivities_and_a_yield() -> None:
 
 def test_half_widths_of_a_whole_section_vary_as_those_of_its_half() -> None:
     values = {"cavity.half_width": 1.93e-4, "superstrate.thickness": 0.515e-3}
-    half, whole = (design_model(chip(of_symmetry(each)), "filled", RANGES, figures=FIGURES, band=BAND, points=41,
-                                accuracy=COARSE, operation=Operation(drive=WATT, thermal_resistance=WARM))(
-                                    values, gradient=True) for each in ("even", "none"))
+    half, whole = (modelled(each)(values, gradient=True) for each in ("even", "none"))
     # The whole section has other columns of cells about its middle, and both meshes are coarse.
     assert whole.figures == pytest.approx(half.figures, rel=1e-3)
     for name in ("f0", "mean_e_ac", "p0"):

@@ -158,11 +158,9 @@ def test_derivatives_by_shapes_are_those_of_moved_meshes(
     state = FullSystem(assemble(flexed.mesh, flexed.terms), flexed.values).linearised(FREQUENCY, names)
     assert complex(np.log(state.charge)) == pytest.approx(ln_charge(plain), abs=1e-10)
     for name, found in zip(names, state.charge_by_parameter / state.charge, strict=True):
-        here, slopes = there.dimensions()[name].value, []
-        for step in (1e-3 * here, 2e-3 * here):
-            ends = [ln_charge(moved(plain, there, name, here + sign * step)) for sign in (1.0, -1.0)]
-            slopes.append((ends[0] - ends[1]) / (2.0 * step))
-        expected = (4.0 * slopes[0] - slopes[1]) / 3.0  # of fourth order in the step
+        here = there.dimensions()[name].value
+        ends = [ln_charge(moved(plain, there, name, here * (1.0 + step))) for step in (1e-3, -1e-3)]
+        expected = (ends[0] - ends[1]) / (2e-3 * here)
         print(f"{made.__name__}, {symmetry}: {name} off by {abs(found / expected - 1.0):.1e}")
         assert found == pytest.approx(expected, rel=1e-5)
 

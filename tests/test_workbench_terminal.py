@@ -95,9 +95,7 @@ def test_no_line_is_wider_than_the_terminal(width: int) -> None:
         assert max(map(len, table_lines(title, table, width=width))) <= width
 
 
-def test_the_terminal_says_how_wide_it_is(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_terminal_says_how_wide_it_is(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     title, table, _ = TABLES["diagnosis"]
     for columns in (60, 80, 120):
         monkeypatch.setenv("COLUMNS", str(columns))

@@ -194,9 +194,7 @@ def test_other_files_of_the_user_may_lie_beside_the_results(
     assert {name: after[name] for name in before} == before
 
 
-def test_files_of_an_earlier_run_go_and_their_names_are_printed(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_files_of_an_earlier_run_go_and_their_names_are_printed(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, chip = here / "out", str(CHIPS.parent.parent / "examples/small_campaign/chip.toml")
     assert main(["simulate", chip, "--state", "empty", *QUICK, "-o", str(out)]) == 0
     (out / "notes.txt").write_text("mine")
@@ -219,9 +217,7 @@ def test_a_folder_in_which_another_command_is_at_work_is_refused(
     assert MARK not in visible(out)
 
 
-def test_a_design_that_fails_keeps_the_best_chip_of_the_run_before(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_design_that_fails_keeps_the_best_chip_of_the_run_before(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = here / "out"
     with begin(out, Outputs("design", ("best.toml",)), source="x", field="y"):
         write_atomic(out / "best.toml", "of the run before")

@@ -79,9 +79,7 @@ def test_the_spectrum_is_that_of_an_independent_solver(
     assert np.abs(exact.dissipation().sum(axis=1) / exact.input_power() - 1.0).max() <= 1e-10
 
 
-def test_another_density_would_not_pass(
-    reference_spectrum: Callable[[str], Spectrum],
-) -> None:
+def test_another_density_would_not_pass(reference_spectrum: Callable[[str], Spectrum]) -> None:
     # The tolerances tell 7500 from 7862 kg/m^3 by far: the two reference spectra of the same disc differ more.
     one, other = (reference_spectrum(f"free_disc_fitted_rho{density}") for density in (7500, 7862))
     assert np.sqrt(np.mean(np.abs(np.log(one.impedance / other.impedance)) ** 2)) > 100.0 * max(RMS.values())

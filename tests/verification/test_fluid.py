@@ -46,9 +46,7 @@ def cavity_chip(stacked: Callable[..., Chip]) -> Chip:
 
 
 @pytest.fixture(scope="module")
-def base(
-    reference_materials: Callable[[str], dict[str, Material]],
-) -> tuple[tuple[Term, ...], dict[str, complex]]:
+def base(reference_materials: Callable[[str], dict[str, Material]]) -> tuple[tuple[Term, ...], dict[str, complex]]:
     """A transducer, which every model needs, and its values."""
     pzt = reference_materials("free_disc_fitted_rho7500")["transducer"]
     terms = (piezoelectric.PiezoelectricSolid("transducer", "pzt"),

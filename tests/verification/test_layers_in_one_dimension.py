@@ -131,9 +131,7 @@ def test_a_stack_that_vibrates_along_z_alone_is_the_transfer_matrix(
     assert error.max() < 2e-4
 
 
-def test_absorption_shows_in_the_tube(
-    solved: Callable[[str, float], tuple[Solution, NDArray[np.complex128]]],
-) -> None:
+def test_absorption_shows_in_the_tube(solved: Callable[[str, float], tuple[Solution, NDArray[np.complex128]]]) -> None:
     lossless, absorbing = (solved(name, EDGE)[0].impedance for name in ("impedance tube", "absorbing fluid"))
     assert np.abs(absorbing / lossless - 1.0).max() > 1e-2
 

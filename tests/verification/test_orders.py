@@ -54,9 +54,7 @@ def made(
     return problem(mesh, materials, (1e4, 1e7))
 
 
-def frequencies(
-    posed: Problem, m: float, band: tuple[float, float], terms: tuple[Term, ...] | None = None
-) -> Real:
+def frequencies(posed: Problem, m: float, band: tuple[float, float], terms: tuple[Term, ...] | None = None) -> Real:
     """Eigenfrequencies (n,) in Hz of an order or wave number; that of the base model for None."""
     terms = terms_of_order(posed.terms if terms is None else terms, is_first=m == 1.0)
     return eigenmodes(System(assemble(posed.mesh, terms), {**posed.values, ORDER: m}), band).frequency

@@ -43,6 +43,11 @@ ORDER = 7
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
+#: Parts of a form: of a function's value, its slopes along r and z, and r.
+VALUE, R_SLOPE, Z_SLOPE, HOOP, SPREAD = (
+    lambda u, u_r, u_z, r: u, lambda u, u_r, u_z, r: u_r, lambda u, u_r, u_z, r: u_z, lambda u, u_r, u_z, r: u / r,
+    lambda u, u_r, u_z, r: u_r + u / r)
+
 
 def liquid(layer: float) -> Fluid:
     """A liquid with a boundary layer of that thickness (m)."""
@@ -87,25 +92,35 @@ class Resolved:
         self.velocity, self.pressure = self._first_order()
         self.drifted = self._second_order()
 
-    def _form(self, rows: skfem.Basis, columns: skfem.Basis, integrand: Any) -> sparse.csr_matrix:
-        return skfem.BilinearForm(lambda u, v, w: integrand(u, v, w.x[0]) * w.x[0]).assemble(columns, rows).tocsr()
+    def _form(self, rows: skfem.Basis, columns: skfem.Basis, *products: tuple[Any, ...]) -> sparse.csr_matrix:
+        """Integral over the cavity of the sum of `products`, each a factor and the parts of a row and of a column.
+
+        A part is a function of value (n, cells, points), slopes along r and z, and r.
+        """
+        weight = rows.dx * rows.global_coordinates()[0]
+        r = np.asarray(rows.global_coordinates()[0])
+
+        def of(basis: skfem.Basis, part: Any) -> Real:
+            own = [each[0] for each in basis.basis]
+            value, slope = np.array([np.asarray(each) for each in own]), np.array([each.grad for each in own])
+            return np.asarray(part(value, slope[:, 0], slope[:, 1], r)).transpose(1, 0, 2)
+
+        cells = sum(factor * (of(rows, row) * weight[:, None]) @ of(columns, column).transpose(0, 2, 1)
+                    for factor, row, column in products)
+        i, j = (np.broadcast_to(each, cells.shape) for each in (
+            rows.element_dofs.T[:, :, None], columns.element_dofs.T[:, None, :]))
+        return sparse.coo_matrix((cells.ravel(), (i.ravel(), j.ravel())), shape=(rows.N, columns.N)).tocsr()
 
     @cached_property
     def _operators(self) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
         """The viscous stress on (u_r, u_z), and the divergence tested by the pressure."""
         eta, u = self.shear, self.u
         second = self.bulk - 2.0 * eta / 3.0
-
-        def d(u: Any, axis: int) -> Any:
-            return grad(u)[axis]
-
-        rr = self._form(u, u, lambda u, v, r: 2.0 * eta * (d(u, 0) * d(v, 0) + u * v / r**2 + 0.5 * d(u, 1) * d(v, 1))
-                        + second * (d(u, 0) + u / r) * (d(v, 0) + v / r))
-        zz = self._form(u, u, lambda u, v, r: 2.0 * eta * (d(u, 1) * d(v, 1) + 0.5 * d(u, 0) * d(v, 0))
-                        + second * d(u, 1) * d(v, 1))
-        rz = self._form(u, u, lambda u, v, r: eta * d(u, 0) * d(v, 1) + second * d(u, 1) * (d(v, 0) + v / r))
-        divergence = sparse.hstack([self._form(self.p, u, lambda u, v, r: (d(u, 0) + u / r) * v),
-                                    self._form(self.p, u, lambda u, v, r: d(u, 1) * v)])
+        rr = self._form(u, u, (2.0 * eta, R_SLOPE, R_SLOPE), (2.0 * eta, HOOP, HOOP), (eta, Z_SLOPE, Z_SLOPE),
+                        (second, SPREAD, SPREAD))
+        zz = self._form(u, u, (2.0 * eta + second, Z_SLOPE, Z_SLOPE), (eta, R_SLOPE, R_SLOPE))
+        rz = self._form(u, u, (eta, Z_SLOPE, R_SLOPE), (second, SPREAD, Z_SLOPE))
+        divergence = sparse.hstack([self._form(self.p, u, (1.0, VALUE, part)) for part in (SPREAD, Z_SLOPE)])
         return sparse.bmat([[rr, rz], [rz.T, zz]]).tocsr(), divergence.tocsr()
 
     def _solved(self, matrix: sparse.csr_matrix, load: Complex, held: NDArray[np.bool_], values: Complex) -> Complex:
@@ -123,8 +138,7 @@ class Resolved:
 
     def _first_order(self) -> tuple[Complex, Complex]:
         viscous, divergence = self._operators
-        mass = self._form(self.u, self.u, lambda u, v, r: u * v)
-        squares = self._form(self.p, self.p, lambda u, v, r: u * v)
+        mass, squares = (self._form(each, each, (1.0, VALUE, VALUE)) for each in (self.u, self.p))
         matrix = sparse.bmat([[viscous - 1j * self.omega * DENSITY * sparse.block_diag([mass, mass]), -divergence.T],
                               [-divergence, 1j * self.omega / (DENSITY * SPEED**2) * squares]]).tocsr()
         prescribed = wall_motion(self.u.doflocs.T * UNIT).T
@@ -162,13 +176,15 @@ class Resolved:
         outflow = sum(0.5 * np.real((slopes[0][i] - 1j * slopes[1][i]) * v[i]) for i in range(2)) / DENSITY
         source = -skfem.LinearForm(lambda q, x: outflow * q * x.x[0]).assemble(self.p)
         drift = self._drift()
-        # The mean of the pressure is zero; its multiplier spreads what the boundary values leave of a net flux.
-        mean = sparse.csr_matrix(skfem.LinearForm(lambda q, x: q * x.x[0]).assemble(self.p)[:, None])
-        matrix = sparse.bmat([[viscous, -divergence.T, None], [-divergence, None, mean], [None, mean.T, None]]).tocsr()
-        free = np.zeros(self.p.N + 1, dtype=bool)
-        held = np.concatenate([self.wall | self.axis, self.wall, free])
-        values = np.concatenate([np.where(self.axis, 0.0, -drift[0]), -drift[1], np.zeros(free.size)])
-        x = self._solved(matrix, np.concatenate([*load, -source, [0.0]]), held, values)
+        matrix = sparse.bmat([[viscous, -divergence.T], [-divergence, None]]).tocsr()
+        held = np.concatenate([self.wall | self.axis, self.wall, np.arange(self.p.N) == 0])
+        values = np.concatenate([np.where(self.axis, 0.0, -drift[0]), -drift[1], np.zeros(self.p.N)])
+        right = np.concatenate([*load, -source])
+        # What the boundary values leave of a net flux is spread over the liquid.
+        flux, within = right - matrix @ np.where(held, values, 0.0), slice(2 * self.u.N, None)
+        volume = skfem.LinearForm(lambda q, x: q * x.x[0]).assemble(self.p)
+        right[within] -= volume * flux[within].sum() / volume.sum()
+        x = self._solved(matrix, right, held, values)
         return x[:2 * self.u.N].reshape(2, -1).real + drift
 
     def carried(self, points: Real) -> Real:

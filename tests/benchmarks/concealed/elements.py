@@ -27,10 +27,7 @@ FORMS: Mapping[str, Mapping[str, tuple[tuple[float, str, str], ...]]] = {
         "c44": ((1.0, "rz", "rz"),),
         "density": ((1.0, "ur", "ur"), (1.0, "uz", "uz")),
     },
-    "liquid": {
-        "inertia": ((1.0, "pr", "pr"), (1.0, "pz", "pz")),
-        "compressibility": ((1.0, "p", "p"),),
-    },
+    "liquid": {"inertia": ((1.0, "pr", "pr"), (1.0, "pz", "pz")), "compressibility": ((1.0, "p", "p"),)},
     "viscous": {
         "shear": ((2.0, "rr", "rr"), (2.0, "tt", "tt"), (2.0, "zz", "zz"), (1.0, "rz", "rz"),
                   (-2.0 / 3.0, "div", "div")),

@@ -10,18 +10,7 @@ from concealed.design import Design
 from concealed.device import State, Values, body, seen, swept
 from concealed.fields import KINDS, Inhomogeneity, slopes
 from concealed.section import Body
-from concealed.solver import (
-    Block,
-    Grid,
-    Model,
-    Reduced,
-    assemble,
-    coefficient,
-    grid,
-    project,
-    reduce,
-    response,
-)
+from concealed.solver import Block, Grid, Model, Reduced, assemble, coefficient, grid, project, reduce, response
 from numpy.typing import NDArray
 
 Real = NDArray[np.float64]
