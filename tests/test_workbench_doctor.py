@@ -16,15 +16,15 @@ import pytest
 from workbench.cli import main
 from workbench.commands import doctor
 from workbench.installation import check, libraries, machine, ports
-from workbench.installation.check import Check, Problem, in_own_process, run_checks
+from workbench.installation.check import Check, Defect, in_own_process, run_checks
 from workbench.instruments.opening import FoundPort
 
 Usage = namedtuple("Usage", "free")
 
 
-def problem(name: str) -> Problem:
-    """The problem that a check of the command finds."""
-    with pytest.raises(Problem) as caught:
+def defect(name: str) -> Defect:
+    """The defect that a check of the command finds."""
+    with pytest.raises(Defect) as caught:
         doctor.checks()[name]()
     return caught.value
 
@@ -43,7 +43,7 @@ def test_a_package_that_cannot_be_imported_is_a_fault(
     name: str, module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plant(tmp_path, monkeypatch, {f"{module}.py": f"raise ImportError('no {name} here')"})
-    found = problem(name)
+    found = defect(name)
     assert str(found) == f"ImportError: no {name} here"
     assert found.status == "fault"
     assert found.remedy.startswith(f"run ./setup, or pip install '{name}")
@@ -53,7 +53,7 @@ def test_a_missing_library_of_the_system_has_its_debian_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plant(tmp_path, monkeypatch, {"gmsh.py": "raise OSError('libGLU.so.1: cannot open shared object file')"})
-    assert problem("gmsh").remedy == "apt-get install libglu1-mesa (or ./setup)"
+    assert defect("gmsh").remedy == "apt-get install libglu1-mesa (or ./setup)"
 
 
 def test_every_library_of_setup_has_its_debian_package() -> None:
@@ -66,8 +66,8 @@ def test_every_library_of_setup_has_its_debian_package() -> None:
 def test_an_old_numpy_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plant(tmp_path, monkeypatch, {
         "numpy.py": "", "numpy-1.26.4.dist-info/METADATA": "Metadata-Version: 2.1\nName: numpy\nVersion: 1.26.4\n"})
-    assert str(problem("numpy")) == "1.26.4 is older than 2.0"
-    assert problem("numpy").remedy == "run ./setup, or pip install 'numpy>=2.0'"
+    assert str(defect("numpy")) == "1.26.4 is older than 2.0"
+    assert defect("numpy").remedy == "run ./setup, or pip install 'numpy>=2.0'"
 
 
 def test_a_package_without_metadata_is_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -80,10 +80,10 @@ def test_the_bounds_are_those_of_the_project() -> None:
 
 
 def test_a_process_that_crashes_or_hangs_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(Problem, match="^crashed with SIGABRT: before$"):
+    with pytest.raises(Defect, match=r"^crashed with SIGABRT: before$"):
         in_own_process("print('before', file=sys.stderr, flush=True); import os; os.abort()", "")
-    monkeypatch.setattr(check, "LONGEST", 0.5)
-    with pytest.raises(Problem, match=r"^no result within 0\.5 s$"):
+    monkeypatch.setattr(check, "LONGEST_PROCESS", 0.5)
+    with pytest.raises(Defect, match=r"^no result within 0\.5 s$"):
         in_own_process("import time; time.sleep(60)", "")
 
 
@@ -91,7 +91,7 @@ def test_no_egl_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     (tmp_path / "sitecustomize.py").write_text("import ctypes.util\nctypes.util.find_library = lambda name: None\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.delenv("DISPLAY", raising=False)
-    found = problem("off screen")
+    found = defect("off screen")
     assert "no display and no EGL library" in str(found)
     assert "libegl1" in found.remedy
 
@@ -100,14 +100,14 @@ def test_no_font_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     plant(tmp_path, monkeypatch, {"matplotlib/__init__.py": "", "matplotlib/font_manager.py": (
         "FontProperties = dict\n"
         "def findfont(font, fallback_to_default): raise ValueError('Failed to find font sans-serif')\n")})
-    assert str(problem("font")) == "ValueError: Failed to find font sans-serif"
-    assert "matplotlib" in problem("font").remedy
+    assert str(defect("font")) == "ValueError: Failed to find font sans-serif"
+    assert "matplotlib" in defect("font").remedy
 
 
 def test_an_unwritable_data_folder_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "data").write_text("a file in the way")
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
-    found = problem("data folder")
+    found = defect("data folder")
     assert str(tmp_path / "data" / "acoustofluidic-chip-workbench") in str(found)
     assert "cannot be written to: Not a directory" in str(found)
     assert found.remedy.endswith("or set XDG_DATA_HOME to a folder of your own")
@@ -115,13 +115,13 @@ def test_an_unwritable_data_folder_is_a_fault(tmp_path: Path, monkeypatch: pytes
 
 def test_a_full_disk_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine.shutil, "disk_usage", lambda path: Usage(3e6))
-    assert "its disk has 3 MB free; a command needs 20 MB" in str(problem("current folder"))
+    assert "its disk has 3 MB free; a command needs 20 MB" in str(defect("current folder"))
 
     def full(**_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(machine.tempfile, "TemporaryFile", full)
-    assert problem("temporary folder").remedy == (
+    assert defect("temporary folder").remedy == (
         "the disk is full: make room, or choose a folder on another disk, or set TMPDIR to a folder of your own")
 
 
@@ -134,9 +134,9 @@ def test_a_port_is_ready_or_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
     own, other = os.openpty()
     name = os.ttyname(other)
     found_port(monkeypatch, name)
-    assert ports.ports() == f"{name} (USB Serial): ready"
+    assert ports.serial_ports() == f"{name} (USB Serial): ready"
     fcntl.flock(other, fcntl.LOCK_EX)
-    found = problem("ports")
+    found = defect("ports")
     os.close(own)
     os.close(other)
     assert (str(found), found.status) == (f"{name} (USB Serial): in use", "warning")
@@ -150,11 +150,11 @@ def test_a_port_without_permission_is_a_fault(tmp_path: Path, monkeypatch: pytes
     (tmp_path / "ttyUSB0").touch()
     found_port(monkeypatch, str(tmp_path / "ttyUSB0"))
     monkeypatch.setattr(ports.os, "open", denied)
-    found = problem("ports")
+    found = defect("ports")
     assert (str(found), found.status) == (f"{tmp_path / 'ttyUSB0'} (USB Serial): not permitted", "fault")
     assert found.remedy == f"sudo usermod -aG {(tmp_path / 'ttyUSB0').group()} $USER, then log in again"
     monkeypatch.setattr(ports, "BUILT_IN", str(tmp_path))
-    assert problem("ports").status == "warning"
+    assert defect("ports").status == "warning"
 
 
 @pytest.mark.parametrize("value", ["64", "0", "many"])
@@ -165,7 +165,7 @@ def test_too_many_threads_of_linear_algebra_are_a_warning(value: str, monkeypatc
         monkeypatch.setenv(name, "2")
     assert machine.linear_algebra() == "openblas 0.3.30, threads: 64"
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", value)
-    found = problem("linear algebra")
+    found = defect("linear algebra")
     assert str(found).endswith(f"OPENBLAS_NUM_THREADS={value} on 2 processors")
     assert found.status == "warning"
     assert found.remedy.startswith("set OPENBLAS_NUM_THREADS to 1")
@@ -184,7 +184,7 @@ def test_processors_are_those_of_the_control_group(tmp_path: Path, monkeypatch: 
     ("3e8", "fault", "300 MB, a process' share"), ("1e9", "warning", "pictures need 2 GB")])
 def test_little_memory_is_a_problem(size: str, status: str, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WORKBENCH_MEMORY_OF_PROCESS", size)
-    found = problem("memory")
+    found = defect("memory")
     assert found.status == status
     assert text in str(found)
     assert "raise the limit" in found.remedy
@@ -196,7 +196,7 @@ def test_the_self_test_finds_a_wrong_solution(monkeypatch: pytest.MonkeyPatch) -
     assert libraries.solved_disc() == "relative difference 0.0e+00 at 5 frequencies, 0.5 s"
     for factor in (1.0 + 1e-6, 1.0 - 1e-6j, float("nan")):
         monkeypatch.setattr(libraries, "REFERENCE", (*libraries.REFERENCE[:-1], factor * libraries.REFERENCE[-1]))
-        assert "expected at most 1e-08" in str(problem("self-test"))
+        assert "expected at most 1e-08" in str(defect("self-test"))
 
 
 def test_the_self_test_agrees_here() -> None:
@@ -214,11 +214,11 @@ def test_a_check_that_fails_is_a_fault() -> None:
 
 
 def warned() -> str:
-    raise Problem("64 threads", "set it to 1", "warning")
+    raise Defect("64 threads", "set it to 1", "warning")
 
 
 def faulty() -> str:
-    raise Problem("not\tfound", "install it")
+    raise Defect("not\tfound", "install it")
 
 
 def test_the_command_prints_lines_and_a_record(

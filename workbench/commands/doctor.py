@@ -42,7 +42,7 @@ def checks() -> Mapping[str, Callable[[], str]]:
         "workbench": machine.version, "system": machine.system, "memory": machine.memory,
         "environment": machine.environment, "linear algebra": machine.linear_algebra,
         **{name: partial(libraries.package, name, least) for name, least in libraries.required().items()},
-        "off screen": libraries.off_screen, "font": libraries.font, "ports": ports.ports,
+        "off screen": libraries.off_screen, "font": libraries.font, "ports": ports.serial_ports,
         "data folder": partial(machine.folder, machine.data_folder, f"set XDG_DATA_HOME {own}"),
         "cache folder": partial(machine.folder, machine.cache_folder, f"set MPLCONFIGDIR {own}"),
         "temporary folder": partial(machine.folder, lambda: Path(tempfile.gettempdir()), f"set TMPDIR {own}"),

@@ -1,4 +1,4 @@
-"""A check with its remedy, and Python processes for parts that may crash."""
+"""A check with its remedy, and processes for parts that crash."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Literal
 
 #: Longest time (s) of a process: loading a library takes a minute on an overloaded machine. Doubled, a library that
 #: hangs delays the report for as long again.
-LONGEST = 180.0
+LONGEST_PROCESS = 180.0
 
 #: Packages of Debian by the library that they contain, as in ``setup``.
 LIBRARIES = {"libGL.so": "libgl1", "libEGL.so": "libegl1", "libGLU.so": "libglu1-mesa", "libXcursor.so": "libxcursor1",
@@ -21,7 +21,7 @@ LIBRARIES = {"libGL.so": "libgl1", "libEGL.so": "libegl1", "libGLU.so": "libglu1
 
 @dataclass(frozen=True)
 class Check:
-    """The outcome of one check: ``words`` on one line, and a ``remedy`` unless it is ok."""
+    """The outcome of one check. ``words`` and ``remedy`` are one line each; there is no remedy if it is ok."""
 
     name: str
     status: Literal["ok", "warning", "fault"]
@@ -29,7 +29,7 @@ class Check:
     remedy: str = ""
 
 
-class Problem(Exception):
+class Defect(Exception):
     """The reason why a check is not ok, with a remedy. With a warning the workbench still works."""
 
     def __init__(self, words: str, remedy: str, status: Literal["warning", "fault"] = "fault") -> None:
@@ -40,7 +40,7 @@ class Problem(Exception):
 def run_checks(checks: Mapping[str, Callable[[], str]], *, jobs: int) -> list[Check]:
     """The outcomes of checks in their order, several at a time.
 
-    A check returns words, or raises a :class:`Problem`. Any other exception is a fault too.
+    A check returns words, or raises a :class:`Defect`. Any other exception is a fault too.
     """
     with ThreadPoolExecutor(jobs) as threads:
         return list(threads.map(_outcome, checks, checks.values()))
@@ -49,7 +49,7 @@ def run_checks(checks: Mapping[str, Callable[[], str]], *, jobs: int) -> list[Ch
 def _outcome(name: str, check: Callable[[], str]) -> Check:
     try:
         return Check(name, "ok", check())
-    except Problem as problem:
+    except Defect as problem:
         return Check(name, problem.status, " ".join(str(problem).split()), problem.remedy)
     except Exception as error:
         words = f"the check failed: {type(error).__name__}: {' '.join(str(error).split())}"
@@ -57,20 +57,23 @@ def _outcome(name: str, check: Callable[[], str]) -> Check:
 
 
 def in_own_process(code: str, remedy: str) -> str:
-    """The last line that `code` prints in a Python process of its own.
+    """The last line that `code` prints, in a Python process.
 
     Raises:
-        Problem: the code raised, crashed, or took longer than :data:`LONGEST`, with its last line of output; its
+        Defect: the code raised, crashed, or took longer than :data:`LONGEST_PROCESS`, with its last line of output; its
             `remedy` is replaced if a library of the system is missing.
     """
+    # In a small address space, loading numpy hangs; this raises before it.
+    begin = (f"import sys; sys.path[:] = {sys.path!r}; from workbench.jobs.memory import reserve_buffers; "
+             "reserve_buffers()")
     try:
-        done = subprocess.run([sys.executable, "-W", "ignore", "-c", f"import sys; sys.path[:] = {sys.path!r}; {code}"],
-                              capture_output=True, text=True, errors="replace", timeout=LONGEST, check=False)
+        done = subprocess.run([sys.executable, "-W", "ignore", "-c", f"{begin}; {code}"], capture_output=True,
+                              text=True, errors="replace", timeout=LONGEST_PROCESS, check=False)
     except subprocess.TimeoutExpired:
-        raise Problem(f"no result within {LONGEST:g} s", remedy) from None
+        raise Defect(f"no result within {LONGEST_PROCESS:g} s", remedy) from None
     if done.returncode:
         crash = [f"crashed with {signal.Signals(-done.returncode).name}"] if done.returncode < 0 else []
         words = ": ".join([*crash, *done.stderr.strip().splitlines()[-1:]])
         debian = [f"apt-get install {name} (or ./setup)" for library, name in LIBRARIES.items() if library in words]
-        raise Problem(words, *debian[:1] or [remedy])
+        raise Defect(words, *debian[:1] or [remedy])
     return "".join(done.stdout.splitlines()[-1:])

@@ -15,7 +15,7 @@ from pathlib import Path
 import workbench
 from workbench.files.output import ROOM
 from workbench.files.writing import REMEDIES
-from workbench.installation.check import Problem, in_own_process
+from workbench.installation.check import Defect, in_own_process
 from workbench.jobs.memory import GROUPS, ONE_THREAD, free_memory, shown_memory
 
 #: The checkout, or the folder of installed packages.
@@ -53,7 +53,7 @@ def environment() -> str:
 
 
 def processors() -> int:
-    """The number of processors for this process, by its affinity and its control group."""
+    """The number of processors by affinity and control group."""
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     with suppress(OSError, ValueError):  # without a limit, the quota is "max"
         quota, period = (GROUPS / "cpu.max").read_text(encoding="ascii").split()
@@ -62,19 +62,19 @@ def processors() -> int:
 
 
 def memory() -> str:
-    """The free memory by its tightest limit; a Problem if it is too small for a command, or for pictures."""
+    """The free memory by its tightest limit. A Defect if it is too small for a command, or for pictures."""
     room, every = free_memory(), float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     words = f"{shown_memory(room.size)}, {room.limit}; {shown_memory(every)} in the machine"
     advice = "end other programs, or raise the limit of the container, the batch job or ulimit -v"
     if room.size < LEAST_MEMORY:
-        raise Problem(f"{words}; a command needs {shown_memory(LEAST_MEMORY)} beside its model", advice)
+        raise Defect(f"{words}; a command needs {shown_memory(LEAST_MEMORY)} beside its model", advice)
     if room.size < PICTURES_MEMORY:
-        raise Problem(f"{words}; pictures need {shown_memory(PICTURES_MEMORY)}", advice, "warning")
+        raise Defect(f"{words}; pictures need {shown_memory(PICTURES_MEMORY)}", advice, "warning")
     return words
 
 
 def linear_algebra() -> str:
-    """The libraries of linear algebra with their threads; a Problem if a variable states too many."""
+    """The libraries of linear algebra with their threads. A Defect if a variable states too many."""
     words = in_own_process(
         "import scipy.linalg; from threadpoolctl import threadpool_info; print(', '.join("
         "'{internal_api} {version}, threads: {num_threads}'.format(**each) for each in threadpool_info()))",
@@ -84,15 +84,15 @@ def linear_algebra() -> str:
              and not (value.isdigit() and 1 <= int(value) <= count)]
     if wrong:
         stated = ", ".join(f"{name}={os.environ[name]}" for name in wrong)
-        raise Problem(f"{words}; {stated} on {count} processors", f"set {', '.join(wrong)} to 1, or unset it: more "
+        raise Defect(f"{words}; {stated} on {count} processors", f"set {', '.join(wrong)} to 1, or unset it: more "
                       "threads than processors make solves slower", "warning")
     return words
 
 
 def folder(find: Callable[[], Path], otherwise: str) -> str:
-    """A folder, or its nearest parent that exists, and the free space on its disk.
+    """A folder, and the free space on its disk. Its nearest parent is checked if it does not exist.
 
-    A Problem if it cannot be written to or has less than :data:`ROOM`; its remedy ends with `otherwise`.
+    A Defect if it cannot be written to or has less than :data:`ROOM`; its remedy ends with `otherwise`.
     """
     path = find()
     there = next(each for each in (path, *path.parents) if os.path.exists(each))
@@ -102,9 +102,9 @@ def folder(find: Callable[[], Path], otherwise: str) -> str:
         free = shutil.disk_usage(there).free
     except OSError as error:
         advice = REMEDIES.get(error.errno or 0, "choose another folder")
-        raise Problem(f"{path} cannot be written to: {error.strerror}", f"{advice}, or {otherwise}") from None
+        raise Defect(f"{path} cannot be written to: {error.strerror}", f"{advice}, or {otherwise}") from None
     if free < ROOM:
-        raise Problem(f"{path}: its disk has {shown_memory(free)} free; a command needs {shown_memory(ROOM)}",
+        raise Defect(f"{path}: its disk has {shown_memory(free)} free; a command needs {shown_memory(ROOM)}",
                       f"make room on the disk, or {otherwise}")
     return f"{path} can be written to, {shown_memory(free)} free"
 

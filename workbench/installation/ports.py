@@ -7,21 +7,21 @@ import fcntl
 import os
 from pathlib import Path
 
-from workbench.installation.check import Problem
+from workbench.installation.check import Defect
 
 #: Beginning of the names of ports on the main board, which exist without an instrument.
 BUILT_IN = "/dev/ttyS"
 
 
-def ports() -> str:
-    """The ports of this computer; a Problem if one is in use, or this user may not open it."""
+def serial_ports() -> str:
+    """The ports of this computer. A Defect if one is in use, or this user may not open it."""
     from workbench.instruments.opening import found_ports
 
     states = {f"{port.name} ({port.description})": _state(port.name) for port in found_ports()}
     words = "; ".join(f"{port}: {state}" for port, (state, _) in states.items()) or "none"
     if remedies := dict.fromkeys(remedy for _, remedy in states.values() if remedy):
         denied = any(state == "not permitted" and not port.startswith(BUILT_IN) for port, (state, _) in states.items())
-        raise Problem(words, "; ".join(remedies), "fault" if denied else "warning")
+        raise Defect(words, "; ".join(remedies), "fault" if denied else "warning")
     return words
 
 
