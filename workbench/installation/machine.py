@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import platform
+import re
 import shutil
 import subprocess
 import tempfile
@@ -74,18 +75,18 @@ def memory() -> str:
 
 
 def linear_algebra() -> str:
-    """The libraries of linear algebra with their threads. A Defect if a variable states too many."""
+    """The libraries of linear algebra with their threads. A Defect if there are too many."""
     words = in_own_process(
         "import scipy.linalg; from threadpoolctl import threadpool_info; print(', '.join("
         "'{internal_api} {version}, threads: {num_threads}'.format(**each) for each in threadpool_info()))",
         "run ./setup")
     count = processors()
-    wrong = [name for name in ONE_THREAD if (value := os.environ.get(name)) is not None
+    wrong = [f"{name}={value}" for name in ONE_THREAD if (value := os.environ.get(name)) is not None
              and not (value.isdigit() and 1 <= int(value) <= count)]
-    if wrong:
-        stated = ", ".join(f"{name}={os.environ[name]}" for name in wrong)
-        raise Defect(f"{words}; {stated} on {count} processors", f"set {', '.join(wrong)} to 1, or unset it: more "
-                      "threads than processors make solves slower", "warning")
+    # A library does not know the limit of a control group.
+    if wrong or any(int(number) > count for number in re.findall(r"threads: (\d+)", words)):
+        names = [each.partition("=")[0] for each in wrong] or [*ONE_THREAD]
+        raise Defect(", ".join([words, *wrong]) + f" on {count} processors", f"set {', '.join(names)} to 1", "warning")
     return words
 
 
