@@ -81,7 +81,7 @@ def test_the_bounds_are_those_of_the_project() -> None:
 
 def test_a_process_that_crashes_or_hangs_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(Defect, match=r"^crashed with SIGABRT: before$"):
-        in_own_process("print('before', file=sys.stderr, flush=True); import os; os.abort()", "")
+        in_own_process("print('\\x1b[33mbefore\\x1b[0m', file=sys.stderr, flush=True); import os; os.abort()", "")
     monkeypatch.setattr(check, "LONGEST_PROCESS", 0.5)
     with pytest.raises(Defect, match=r"^no result within 0\.5 s$"):
         in_own_process("import time; time.sleep(60)", "")

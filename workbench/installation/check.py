@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -73,7 +74,8 @@ def in_own_process(code: str, remedy: str) -> str:
         raise Defect(f"no result within {LONGEST_PROCESS:g} s", remedy) from None
     if done.returncode:
         crash = [f"crashed with {signal.Signals(-done.returncode).name}"] if done.returncode < 0 else []
-        words = ": ".join([*crash, *done.stderr.strip().splitlines()[-1:]])
-        debian = [f"apt-get install {name} (or ./setup)" for library, name in LIBRARIES.items() if library in words]
-        raise Defect(words, *debian[:1] or [remedy])
+        coloured = ": ".join([*crash, *done.stderr.strip().splitlines()[-1:]])
+        words = re.sub(r"\x1b\[[\d;]*m", "", coloured)
+        raise Defect(words, next((f"apt-get install {debian} (or ./setup)" for library, debian in LIBRARIES.items()
+                                  if library in words), remedy))
     return "".join(done.stdout.splitlines()[-1:])

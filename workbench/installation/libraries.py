@@ -49,8 +49,8 @@ def package(name: str, least: str) -> str:
 def off_screen() -> str:
     """The class of the window in which VTK draws off screen."""
     return in_own_process("from workbench.render.off_screen import drawn_window; print(drawn_window())",
-                          "install libegl1 and libgl1 (./setup does), or set VTK_DEFAULT_OPENGL_WINDOW to "
-                          "vtkEGLRenderWindow (no display) or vtkOSOpenGLRenderWindow (no driver)")
+                          "install libegl1 and libgl1 (./setup does), and set "
+                          "VTK_DEFAULT_OPENGL_WINDOW=vtkEGLRenderWindow")
 
 
 def font() -> str:
