@@ -41,6 +41,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "design": ("workbench.design",),
     "report": ("workbench.report",),
     "live view": ("workbench.app",),
+    "installation": ("workbench.installation",),
     "commands": ("workbench.commands", "workbench.cli", "workbench.__main__"),
 }
 

@@ -14,7 +14,8 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 CLEAN = (
     "geometry", "materials", "workbench", "workbench/acoustics", "workbench/app", "workbench/bench",
     "workbench/campaign", "workbench/catalogue", "workbench/commands", "workbench/design", "workbench/diagnosis",
-    "workbench/fem", "workbench/files", "workbench/fitting", "workbench/instruments", "workbench/jobs",
+    "workbench/fem", "workbench/files", "workbench/fitting", "workbench/installation", "workbench/instruments",
+    "workbench/jobs",
     "workbench/model", "workbench/physics", "workbench/readers", "workbench/reduced", "workbench/render",
     "workbench/report", "workbench/reproduction", "workbench/results", "workbench/search", "workbench/simulation",
 )

@@ -20,7 +20,8 @@ from workbench.files.errors import InputError
 from workbench.physics.term import ModelError
 
 CHIP = str(Path(__file__).resolve().parent.parent / "geometry" / "chips" / "disc_20x2.toml")
-COMMANDS = ("simulate", "compare", "mesh", "export", "render", "sensitivity", "materials", "measure", "import", "bench")
+COMMANDS = ("simulate", "compare", "mesh", "export", "render", "sensitivity", "materials", "measure", "import", "bench",
+            "doctor")
 
 
 @pytest.fixture(autouse=True)

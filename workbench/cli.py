@@ -51,6 +51,11 @@ def _main(arguments: Sequence[str] | None, interrupted: Interruption) -> int:
     from workbench.commands.options import command_parser
 
     options = command_parser().parse_args(arguments)
+    if options.command == "doctor":
+        # It finds faults of the libraries that the other commands load first.
+        from workbench.commands.doctor import run_doctor
+
+        return run_doctor(options)
     interrupted.output = str(getattr(options, "output", None) or "")
     if not getattr(options, "no_scripts", False):
         return _checked(options, interrupted)

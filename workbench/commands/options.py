@@ -510,6 +510,10 @@ def _design(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
+def _doctor(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--json", action="store_true", help="print a record in place of lines (default: lines)")
+
+
 #: Purpose of every command, and the function that adds its options.
 COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "simulate": ("spectrum, figures of merit, fields, traps, CAD and report of a chip", _simulate),
@@ -530,5 +534,6 @@ COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = 
     "import": ("impedance from waveforms that an oscilloscope saved, in pairs", _import),
     "chips": ("list the chip files of the package, or copy one to begin with", _chips),
     "bench": ("the instruments: list, check, and a simulated bench", _bench),
+    "doctor": ("check the installation, and print the lines for a bug report; status 1 if there is a fault", _doctor),
     "materials": ("list, show, compare, check, withdraw, export or import materials", _materials),
 }

@@ -18,7 +18,7 @@ from geometry.plausible import check_band
 from materials.registry import Registry, user_folder, user_registry
 from workbench.acoustics.heat import STILL_AIR
 from workbench.files.errors import InputError, choose
-from workbench.files.output import begin
+from workbench.files.output import ROOM, begin
 from workbench.files.ownership import Outputs
 from workbench.files.quantities import parse_quantity
 from workbench.model.discretisation import Discretisation, discretisation
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from workbench.readers import Reading
-
-#: Free bytes on disk that a command needs: a report with its pictures. Doubled, a nearly full disk is rejected sooner.
-ROOM = 20e6
 
 
 @dataclass(frozen=True)

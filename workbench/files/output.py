@@ -46,6 +46,9 @@ MARK = "INCOMPLETE.txt"
 #: The first line of a mark of the versions without a manifest.
 OLD_MARK = re.compile(r"\d+ is the process that writes the results in this folder\.\n")
 
+#: Free bytes on disk that a command needs: a report with its pictures. Doubled, a nearly full disk is rejected sooner.
+ROOM = 20e6
+
 #: Names in a message; further ones are counted.
 LISTED = 12
 
