@@ -49,8 +49,8 @@ class Feature:
         return f"{1e6 * self.mass:.6g} mg" if self.kind == "mass" else f"{self.stiffness:.6g} N/m"
 
     def __str__(self) -> str:
-        return (f"{self.kind} of {self.size} on the {self.face} of {self.region}, {millimetres(self.distance)} from the "
-                f"axis at {math.degrees(self.angle):g} deg, {millimetres(self.diameter)} wide")
+        return (f"{self.kind} of {self.size} on the {self.face} of {self.region}, {millimetres(self.distance)} from "
+                f"the axis at {math.degrees(self.angle):g} deg, {millimetres(self.diameter)} wide")
 
 
 def read_features(root: FileTable) -> tuple[Feature, ...]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageSequence
 from support import layer_text
 
 import workbench as wb
@@ -299,11 +299,8 @@ def test_pictures_from_above_and_of_a_cycle(tmp_path: Path) -> None:
         assert np.corrcoef(red.ravel(), (sign * red[:, ::-1]).ravel())[0, 1] > 0.98
     cycle = animate_mode(found.nodes, mode, tmp_path / "cycle.gif")
     with Image.open(cycle) as moving:
-        frames = []
-        for frame in range(moving.n_frames):
-            moving.seek(frame)
-            rgb = np.asarray(moving.convert("RGB"), dtype=float)
-            frames.append((rgb[..., 0] - rgb[..., 2])[60:200, 80:1000])
+        pictures = [np.asarray(frame.convert("RGB"), dtype=float) for frame in ImageSequence.Iterator(moving)]
+    frames = [(rgb[..., 0] - rgb[..., 2])[60:200, 80:1000] for rgb in pictures]
     assert len(frames) == 16
     strength = [float(np.abs(frame).sum()) for frame in frames]
     assert strength[4] < 0.05 * strength[0]

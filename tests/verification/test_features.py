@@ -19,7 +19,7 @@ from geometry.chip import Chip, read_chip
 from geometry.features import Feature
 from materials.kinds import Piezoelectric
 from workbench.fem.elements import Lagrange
-from workbench.fem.half_space import FITTED, HalfSpace, fitted
+from workbench.fem.half_space import FITTED, HalfSpace, half_space_constants
 from workbench.fem.operators import assemble
 from workbench.fem.patch import ALONG, AWAY, UP, NoFreeFace, Patch, patch_forms
 from workbench.fem.solve import System
@@ -124,7 +124,7 @@ def test_the_constants_of_a_half_space_are_found() -> None:
     space = HalfSpace.of([PATCH], np.zeros(1))
     orders = np.array([space.order(m)[:, :, 0] for m in range(20, 20 + FITTED)])
     wanted = np.array([2e-12 - 1e-14j, 3e-12])
-    found = fitted((orders[:, :, 0] @ wanted)[:, None, None], orders)
+    found = half_space_constants((orders[:, :, 0] @ wanted)[:, None, None], orders)
     assert found[:, 0, 0] == pytest.approx(wanted, rel=1e-6)
 
 

@@ -87,7 +87,7 @@ class HalfSpace:
         return np.where(same, np.einsum("ijq,pq->pij", products * shape[:, None] * shape, weights), 0.0)
 
 
-def fitted(compliances: Complex, orders: Real) -> Complex:
+def half_space_constants(compliances: Complex, orders: Real) -> Complex:
     """Constants c_2p (2, n, k) of the compliances of orders.
 
     The compliances are (m, n, k), and `orders` (m, 2, k) are the h_p of the same orders.

@@ -199,7 +199,7 @@ def _starts(system: System, frequency: float, wanted: float, least_q: float) -> 
                 break
             most *= 2
     inside = np.abs(squares) < within
-    omegas: Complex = 2.0 * np.pi * frequency * np.sqrt(1.0 + squares[inside])
+    omegas = np.asarray(2.0 * np.pi * frequency * np.sqrt(1.0 + squares[inside]), dtype=np.complex128)
     return factor, (omegas, factor.scale[:, None] * (found.space @ found.inner[:, inside])), half
 
 

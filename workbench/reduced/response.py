@@ -32,7 +32,7 @@ class ResponseNotConverged(RuntimeError):
 
 
 @dataclass(frozen=True, eq=False)
-class Response:
+class LoadResponse:
     """Fields of a model under unit loads, over a band.
 
     There is no voltage. ``compliance`` (n, k, k) are the works l_i^T A^-1 l_j of the load i on the fields of the load
@@ -50,7 +50,7 @@ class Response:
         return np.asarray(self.basis @ self.coordinates[:, :, index].T)
 
 
-def response(system: System, loads: Real, frequencies: Real, tolerance: float) -> Response:
+def response(system: System, loads: Real, frequencies: Real, tolerance: float) -> LoadResponse:
     """The response to `loads` (size, k) over a band.
 
     The frequencies (n,) are in Hz, and the compliance has the relative `tolerance`. Frequencies are factorised where
@@ -65,7 +65,7 @@ def response(system: System, loads: Real, frequencies: Real, tolerance: float) -
         return _response(system, loads[:-1], frequencies, tolerance)
 
 
-def _response(system: System, loads: Real, frequencies: Real, tolerance: float) -> Response:
+def _response(system: System, loads: Real, frequencies: Real, tolerance: float) -> LoadResponse:
     factors = system.factors(frequencies)
     # The basis is orthonormal in the scaled unknowns of the first factorisation.
     basis, scale = np.zeros((len(loads), 0)), np.ones((len(loads), 1))
@@ -117,7 +117,7 @@ def _outside(vectors: Complex, basis: Real) -> Real:
     return np.asarray(columns[:, sizes > DEPENDENT])
 
 
-def _projected(system: System, loads: Real, basis: Real, factors: Complex, error: float) -> Response:
+def _projected(system: System, loads: Real, basis: Real, factors: Complex, error: float) -> LoadResponse:
     """The response on a basis (size - 1, r)."""
     operators = system.operators
     whole = np.vstack([basis, np.zeros((1, basis.shape[1]))])
@@ -126,7 +126,7 @@ def _projected(system: System, loads: Real, basis: Real, factors: Complex, error
     matrices = reduced.combinations(np.array([constants for _, constants in groups]))
     inner = basis.T @ loads
     coordinates = np.stack([_solved(factors, matrices, load) for load in inner.T])
-    return Response(np.einsum("ri,jrn->nij", inner, coordinates), basis, coordinates, error)
+    return LoadResponse(np.einsum("ri,jrn->nij", inner, coordinates), basis, coordinates, error)
 
 
 def _solved(factors: Complex, matrices: Complex, load: Real) -> Complex:

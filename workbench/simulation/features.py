@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.features import Feature
-from workbench.fem.half_space import FITTED, HalfSpace, fitted
+from workbench.fem.half_space import FITTED, HalfSpace, half_space_constants
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.patch import ALONG, AWAY, UP, NoFreeFace, Patch, patch_forms
 from workbench.fem.solve import System
@@ -162,7 +162,7 @@ def compliance_of(
         space = space.without(order)
         if order < FITTED:
             continue
-        constants = fitted(np.array(last), np.array(spaces))
+        constants = half_space_constants(np.array(last), np.array(spaces))
         pairs = 0.5 * (constants[:, :, :, None] + constants[:, :, None])
         sums = [*sums[-FITTED:], total + np.einsum("pnij,pij->nij", pairs, np.kron(space.total, np.eye(size)))]
         moved = max(float((np.linalg.norm(sums[-1] - each, axis=(1, 2)) / np.linalg.norm(sums[-1], axis=(1, 2))).max())
