@@ -112,7 +112,7 @@ def nodal_components(
 ) -> dict[str, Complex]:
     """The components of a `state` at the nodes, or NaN.
 
-    A state (size,) has them as (N,), states (size, n) as (N, n). `mesh` and `dofs` (N,) are those of
+    Components of a state (size,) are (N,), those of n states (size, n) are (N, n). `mesh` and `dofs` (N,) are those of
     :func:`section_nodes`. A component is NaN in regions without it.
     """
     several = state.shape[1:]

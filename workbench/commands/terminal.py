@@ -174,7 +174,7 @@ def _pieces(text: str) -> list[str]:
 
 
 def _breakable(text: str, width: int) -> str:
-    """The text with line ends in words longer than `width` cells."""
+    """The text with line breaks within words wider than `width` cells."""
     from rich.cells import cell_len
 
     words = []

@@ -102,8 +102,8 @@ def search_all(
 def optima(attempts: Sequence[Attempt]) -> list[Optimum]:
     """The distinct optima, best first.
 
-    Ends that are not stationary are compared like the others. A start counts for the optimum that its best descent
-    found.
+    Ends that are not stationary are compared like the others. Each start is assigned to the optimum that its best
+    descent reached.
     """
     ends = [(each, start.number) for start in attempts for each in start.descents]
     groups = distinct(ends, lambda end, best: _same(end[0].point, best[0].point), lambda end: end[0].point.rank)

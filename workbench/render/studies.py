@@ -195,7 +195,7 @@ def most_telling(parameters: Sequence[StudyColumn], found: StudyColumn,
 
 
 def _ends(values: Real) -> tuple[float, float]:
-    """The lowest and the highest finite value, made different."""
+    """The lowest and the highest finite value, apart if they are equal."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     # A constant gets a margin of 0.1 % to both sides, or of one if it is zero.

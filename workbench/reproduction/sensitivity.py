@@ -154,7 +154,7 @@ def sensitivity(
         baseline: complex values by full name, e^{-i w t}, in place of the problem's own.
         scalings: N_s, equally spaced from `low` to `high`.
         relative_error: bound on the estimated relative error of every impedance.
-        progress: called with the part's name and the finished share.
+        progress: called with the name of the current step and the finished share.
 
     Raises:
         InputError: a name that is no coefficient of the transducer, or one given twice; fewer than two scalings; a
