@@ -251,7 +251,7 @@ def _attenuation(table: FileTable, *, law: int) -> tuple[float, float | None, fl
 
 
 def _amount(table: FileTable, key: str, text: str, expected: str) -> tuple[float, float, int]:
-    """The attenuation (Np/m) at 1 Hz, and the exponent of its power law."""
+    """The attenuation (Np/m) at 1 Hz, and its exponent of frequency."""
     whole = _AMOUNT.match(text)
     value, unit = (float(whole[1]), whole[2]) if whole else (math.nan, text)
     found = _UNIT.match(re.sub(r"\s*/\s*", "/", unit.replace("²", "^2")))
