@@ -143,7 +143,8 @@ CHIP_MISTAKES = {
                              ["states.filled.particle", "'polystyrene'", "no particle without a fluid"]),
     "one material of two densities": ('thickness = "0.72 mm"', 'thickness = "0.72 mm"\ndensity = "1000 kg/m^3"',
                                       ["density of sidewall", "1000.0", "of the same material"]),
-    "syntax": ('thickness = "0.85 mm"', "thickness = 0.85 mm", ["TOML syntax", "line 17"]),
+    "syntax": ('thickness = "0.85 mm"', "thickness = 0.85 mm", [
+        "TOML syntax", "line " + str(1 + CHIP.partition('"0.85 mm"')[0].count("\n"))]),
 }
 
 #: Answered by the registry or the material's own file; the rest name the chip file.
