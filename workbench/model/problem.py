@@ -425,8 +425,8 @@ def build(
                               levels=levels)
     if device.chip.features and not with_features:
         listed = "; ".join(map(str, device.chip.features))
-        warnings.warn(LeftOutWarning(f"{device.chip.file}: left out ({listed}): only the spectrum of `simulate` has "
-                                     "features"), stacklevel=2)
+        warnings.warn(LeftOutWarning(f"{device.chip.file}: left out ({listed}): only the spectra of `simulate` and "
+                                     "`compare` have features"), stacklevel=2)
     for note in device.section.notes if isinstance(device.section, FreeSection) else ():
         warnings.warn(LeftOutWarning(f"{device.chip.file}: left out of {note}"), stacklevel=2)
     mesh = shaped(meshed(device.section, size), device.chip)

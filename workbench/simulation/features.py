@@ -102,7 +102,7 @@ def spectrum_with(
     return replace(found, impedance=impedance), (
         f"{listed}: ln Z changes by up to {largest:.3g} % ({between.orders} orders, the last ones moved the compliance "
         f"by {100.0 * between.moved:.1g} %)",
-        "fields, energies, traps and heat are those of the chip without its features")
+        "fields, energies, traps, heat and the modes of peaks are those of the chip without its features")
 
 
 @dataclass(frozen=True, eq=False)
