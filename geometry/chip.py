@@ -83,7 +83,7 @@ class Chip:
         check_operating_point(self.operating_point, self.band, self.file)
         check_features(self.features, self.layers, self.measure, self.file)
         plausible.check_plausible(self.layers, self.band, self.dimensions(), self.states, self.unusual, self.file,
-                                  measure=self.measure, is_open=self.is_open)
+                                  measure=self.measure, is_open=self.is_open, features=self.features)
 
     @cached_property
     def holes(self) -> tuple[Layer, ...]:

@@ -5,6 +5,7 @@ They are drops of solder or glue, wires, and point supports.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,10 @@ from workbench.files.toml import TomlEntry
 
 #: Kinds of features, with the key of the size of each and its dimension.
 KINDS: Mapping[str, tuple[str, str]] = {"mass": ("mass", "mass"), "spring": ("stiffness", "stiffness")}
+
+#: Units of texts, by dimension.
+_UNITS: Mapping[str, tuple[str, ...]] = {
+    "length": ("mm", "um", "m"), "angle": ("deg", "rad"), "mass": ("mg", "g", "kg"), "stiffness": ("N/m",)}
 
 _KEYS = ("kind", "layer", "face", "distance", "angle", "diameter", "mass", "stiffness", "loss")
 
@@ -46,7 +51,13 @@ class Feature:
     @property
     def size(self) -> str:
         """The mass or the stiffness in words."""
-        return f"{1e6 * self.mass:.6g} mg" if self.kind == "mass" else f"{self.stiffness:.6g} N/m"
+        key, dimension = KINDS[self.kind]
+        return _text(getattr(self, key), dimension)
+
+    @property
+    def centre(self) -> complex:
+        """The place of the patch's centre in the plane (m)."""
+        return cmath.rect(self.distance, self.angle)
 
     def __str__(self) -> str:
         return (f"{self.kind} of {self.size} on the {self.face} of {self.region}, {millimetres(self.distance)} from "
@@ -86,37 +97,62 @@ def check_features(features: Sequence[Feature], layers: Sequence[Layer], measure
     """Check the sizes and places of features.
 
     Raises:
-        InputError: otherwise.
+        InputError: a size that is no number above zero, a patch that is not on a free plane face of its layer, or that
+            overlaps another one, or features of a straight chip.
     """
     if features and not isinstance(measure, Axisymmetric):
         raise InputError(file, "features", f"{len(features)} in a straight chip", "none: only a round chip has "
                          "features at a place around its axis")
-    by_region = {layer.region: layer for layer in layers}
     for i, feature in enumerate(features):
         field = f"features[{i}]"
-        layer = by_region[choose(feature.region, by_region, source=file, field=f"{field}.layer")]
-        size, _ = KINDS[feature.kind]
-        for name in (size, "diameter"):
+        choose(feature.region, [layer.region for layer in layers], source=file, field=f"{field}.layer")
+        for name, dimension in (KINDS[feature.kind], ("diameter", "length")):
             if not 0.0 < getattr(feature, name) < math.inf:
-                raise InputError(file, f"{field}.{name}", getattr(feature, name), "a value above zero")
+                raise InputError(file, f"{field}.{name}", _text(getattr(feature, name), dimension),
+                                 f"a {dimension} above zero")
         if not 0.0 <= feature.loss < 1.0:
             raise InputError(file, f"{field}.loss", feature.loss, "a share from 0 to below 1")
         if not math.isfinite(feature.angle):
             raise InputError(file, f"{field}.angle", feature.angle, "an angle")
-        if not feature.distance >= 0.0 or feature.distance + 0.5 * feature.diameter > layer.outer_radius:
-            raise InputError(file, f"{field}.distance", millimetres(feature.distance),
-                             f"0 mm to {millimetres(layer.outer_radius - 0.5 * feature.diameter)}: the patch, "
-                             f"{millimetres(feature.diameter)} wide, lies on {feature.region!r}")
+        _check_place(feature, layers, file, field)
+        for k, other in enumerate(features[:i]):
+            apart, least = abs(feature.centre - other.centre), 0.5 * (feature.diameter + other.diameter)
+            if (other.region, other.face) == (feature.region, feature.face) and apart < least:
+                raise InputError(file, f"{field}.distance", f"{millimetres(apart)} from the centre of features[{k}]",
+                                 f"at least {millimetres(least)}, so that the patches do not overlap")
+
+
+def _check_place(feature: Feature, layers: Sequence[Layer], file: str, field: str) -> None:
+    """Check that a patch is on a free plane face of its layer."""
+    index = next(i for i, layer in enumerate(layers) if layer.region == feature.region)
+    layer, beside = layers[index], index + (1 if feature.face == "top" else -1)
+    neighbour = layers[beside] if 0 <= beside < len(layers) else None
+    if shape := next((name for name in ("bow", "dome", "profile") if getattr(layer, name) is not None), ""):
+        raise InputError(file, f"{field}.layer", feature.region, f"a layer with plane faces; this one has a {shape}")
+    low, high = layer.inner_radius if neighbour is None else neighbour.outer_radius, layer.outer_radius
+    if neighbour is not None and high - low < feature.diameter:
+        raise InputError(file, f"{field}.face", feature.face, f"a face with {millimetres(feature.diameter)} free for "
+                         f"the patch: the {feature.face} of {feature.region} is covered by {neighbour.region} "
+                         f"{'' if low >= high else f'up to {millimetres(low)} of {millimetres(high)} '}from the axis")
+    radius = 0.5 * feature.diameter
+    # A patch may lie about the axis of a full disc.
+    least, most = low + radius if low else 0.0, high - radius
+    if not least <= feature.distance <= most:
+        raise InputError(file, f"{field}.distance", _text(feature.distance, "length"),
+                         f"{millimetres(least)} to {millimetres(most)}: the patch, {millimetres(feature.diameter)} "
+                         f"wide, lies on the free {feature.face} of {feature.region!r}")
+
+
+def _text(value: float, dimension: str) -> str:
+    """A quantity as text for messages and files."""
+    return format_quantity(value, dimension, _UNITS[dimension]) if math.isfinite(value) else str(value)
 
 
 def feature_keys(feature: Feature) -> dict[str, TomlEntry]:
     """The keys of a feature in a chip file."""
     size, dimension = KINDS[feature.kind]
-    units = ("mg", "g", "kg") if size == "mass" else ("N/m",)
     found: dict[str, TomlEntry] = {
         "kind": feature.kind, "layer": feature.region, "face": feature.face,
-        "distance": format_quantity(feature.distance, "length", ("mm", "um", "m")),
-        "diameter": format_quantity(feature.diameter, "length", ("mm", "um", "m")),
-        "angle": format_quantity(feature.angle, "angle", ("deg", "rad")),
-        size: format_quantity(getattr(feature, size), dimension, units)}
+        "distance": _text(feature.distance, "length"), "diameter": _text(feature.diameter, "length"),
+        "angle": _text(feature.angle, "angle"), size: _text(getattr(feature, size), dimension)}
     return found | ({"loss": feature.loss} if feature.loss else {})

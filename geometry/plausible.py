@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from numbers import Real
 
 from geometry.dimension import ACROSS, Dimension
+from geometry.features import KINDS, Feature
 from geometry.measure import ABOUT_AXIS, Measure, Straight
 from geometry.names import CAVITY, TRANSDUCER, role_of
 from geometry.parts import Layer, State
@@ -59,6 +60,12 @@ FILL = Range(5e-6, 100e-3, "the liquid in a well")
 PORT = Range(5e-6, 50e-3, "a port")
 PARTICLE_RADIUS = Range(10e-9, 0.5e-3, "the radius of a particle")
 
+#: Sizes of features, by their keys: kg, N/m, m.
+FEATURES: Mapping[str, tuple[Range, str]] = {
+    "mass": (Range(1e-9, 10e-3, "a drop of solder or glue"), "mass"),
+    "stiffness": (Range(1.0, 1e9, "a wire or a support"), "stiffness"),
+    "diameter": (Range(10e-6, 50e-3, "the patch of a feature"), "length")}
+
 #: Names in ``unusual`` of the depth of a liquid and of the length of a straight chip, which are not dimensions.
 FILL_KEY, LENGTH_KEY = "fill", "length"
 
@@ -74,6 +81,13 @@ WIDEST, OVERTONES, FREQUENCY_CONSTANT = 60.0, 30.0, 2000.0
 #: Largest factor by which a search may move a length out of its range and make it unusual. Doubled, a slip between cm
 #: and mm in code passes more often.
 LARGEST_MOVE = 30.0
+
+#: Units of messages with their factors to SI, by kind of quantity, each from its least value on.
+UNITS: Mapping[str, tuple[tuple[str, float, float], ...]] = {
+    "length": (("m", 1.0, 1.0), ("mm", 1e-3, 1e-3), ("um", 1e-6, 1e-6), ("nm", 1e-9, 0.0)),
+    "frequency": (("MHz", 1e6, 1e5), ("kHz", 1e3, 1e2), ("Hz", 1.0, 0.0)),
+    "mass": (("kg", 1.0, 1.0), ("g", 1e-3, 1e-3), ("mg", 1e-6, 0.0)),
+    "stiffness": (("N/m", 1.0, 0.0),), "density": (("kg/m^3", 1.0, 0.0),)}
 
 #: Factors between units that are often confused, the most likely first.
 SLIPS = (1e-3, 1e3, 1e-6, 1e6, 0.1, 10.0, 0.01, 100.0)
@@ -101,15 +115,16 @@ def range_of(name: str) -> Range | None:
 def check_plausible(
     layers: Sequence[Layer], band: tuple[float, float], named: Mapping[str, Dimension], states: Sequence[State],
     unusual: Sequence[str], file: str, *, measure: Measure = ABOUT_AXIS, is_open: bool = False,
+    features: Sequence[Feature] = (),
 ) -> None:
     """Check that all sizes are usual, except those listed as `unusual`.
 
-    The sizes are lengths (`named`), band, densities, temperatures and particles.
+    The sizes are lengths (`named`), band, densities, temperatures, particles and features.
 
     Raises:
         InputError: the first unusual size, or an unusual name that the chip does not have.
     """
-    stated = list(_stated(layers, named, states))
+    stated = list(_stated(layers, named, states, features))
     # The depth of a liquid is checked when it is read: afterwards it is the thickness of a wall.
     more = [*([FILL_KEY] if is_open else []), *([LENGTH_KEY] if isinstance(measure, Straight) else [])]
     for name in unusual:
@@ -201,7 +216,7 @@ def _how(name: str) -> str:
 
 
 def _stated(
-    layers: Sequence[Layer], named: Mapping[str, Dimension], states: Sequence[State]
+    layers: Sequence[Layer], named: Mapping[str, Dimension], states: Sequence[State], features: Sequence[Feature]
 ) -> Iterator[tuple[str, float, Range | None, str]]:
     """Sizes that a chip states: name, value (SI), range, kind of quantity."""
     for name, dimension in named.items():
@@ -214,6 +229,10 @@ def _stated(
             yield f"states.{state.name}.temperature", state.temperature, TEMPERATURE, "temperature"
         if state.particle_radius is not None:
             yield f"states.{state.name}.particle_radius", state.particle_radius, PARTICLE_RADIUS, "length"
+    for i, feature in enumerate(features):
+        for name in (KINDS[feature.kind][0], "diameter"):
+            usual, kind = FEATURES[name]
+            yield f"features[{i}].{name}", getattr(feature, name), usual, kind
 
 
 def _meant_band(band: tuple[float, float], thickness: float) -> tuple[str, ...]:
@@ -232,15 +251,8 @@ def _meant_band(band: tuple[float, float], thickness: float) -> tuple[str, ...]:
 
 def as_text(value: float, kind: str, *, as_stated: bool = False) -> str:
     """A quantity as text for messages."""
-    match kind:
-        case "length":
-            size = abs(value)
-            units = (("m", 1.0), ("mm", 1e-3), ("um", 1e-6))
-            unit, factor = next(((unit, factor) for unit, factor in units if size >= factor), ("nm", 1e-9))
-            return f"{value / factor:.4g} {unit}"
-        case "frequency":
-            unit, factor = next(((u, f) for u, f in (("MHz", 1e6), ("kHz", 1e3)) if value >= 0.1 * f), ("Hz", 1.0))
-            return f"{value / factor:.4g} {unit}"
-        case "temperature":
-            return f"{value:.6g} K" if as_stated else f"{value - 273.15:.4g} degC"
-    return f"{value:.4g} kg/m^3"
+    if kind == "temperature":
+        return f"{value:.6g} K" if as_stated else f"{value - 273.15:.4g} degC"
+    units = UNITS[kind]
+    unit, factor = next(((unit, factor) for unit, factor, least in units if abs(value) >= least), units[-1][:2])
+    return f"{value / factor:.4g} {unit}"

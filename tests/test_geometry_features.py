@@ -66,6 +66,7 @@ def test_features_are_read_and_written(disc: Path) -> None:
     ('"2 mm"', '"0 mm"', "features[0].diameter", "above zero"),
     ('"5 mg"', '"0 mg"', "features[0].mass", "above zero"),
     ('"5 mg"', '"5 mm"', "features[0].mass", "mg"),
+    ('"5 mg"', '"-5 mg"', "features[0].mass", "'-5 mg'"),
     ('mass = "5 mg"', "", "features[0].mass", "mass with its unit"),
     ('mass = "5 mg"', 'stiffness = "1 N/m"', "features[0].stiffness", "mass"),
     ('mass = "5 mg"', 'mass = "5 mg"\nloss = 0.1', "features[0].loss", "mass"),
@@ -83,15 +84,44 @@ def test_a_straight_chip_has_none() -> None:
         replace(chip, features=(Feature("mass", "transducer", "top", 1e-3, 1e-4, mass=1e-6),))
 
 
-def test_a_face_that_is_bonded_has_none(disc: Path) -> None:
-    chip = read_chip(CHIPS / "disc_gel_pla.toml")
-    bonded = replace(chip, features=(Feature("mass", "transducer", "top", 5e-3, 1e-3, mass=1e-6),))
-    with pytest.raises(InputError, match=r"features\[0\].distance.*nothing else touches"):
-        simulate(bonded, band=(60e3, 80e3), points=5)
+@pytest.mark.parametrize(("region", "face", "distance", "field", "words"), [
+    ("transducer", "top", 5e-3, "features[0].face", "covered by couplant"),
+    ("sidewall", "top", 5e-3, "features[0].face", "covered by bond"),
+    ("substrate", "top", 5e-3, "features[0].face", "covered by sidewall"),
+    ("transducer", "bottom", 12.1e-3, "features[0].distance", "0 mm to"),
+    ("superstrate", "top", 0.0, None, ""),
+])
+def test_a_patch_is_on_a_free_face(region: str, face: str, distance: float, field: str | None, words: str) -> None:
+    chip = read_chip(CHIPS / "reference_chip.toml")
+    feature = Feature("mass", region, face, distance, 1e-3, mass=1e-6)  # type: ignore[arg-type]
+    if field is None:
+        assert replace(chip, features=(feature,)).features == (feature,)
+        return
+    with pytest.raises(InputError) as error:
+        replace(chip, features=(feature,))
+    assert (error.value.field, words in str(error.value)) == (field, True), str(error.value)
+
+
+def test_patches_do_not_overlap(disc: Path) -> None:
+    chip = with_features(disc, SOLDER)
+    near = replace(chip.features[0], angle=chip.features[0].angle + math.radians(10.0))
+    with pytest.raises(InputError, match=r"features\[1\].distance.*1.5\d* mm from .*at least 2 mm"):
+        replace(chip, features=(*chip.features, near))
+    assert len(replace(chip, features=(*chip.features, replace(near, face="top"))).features) == 2
+
+
+def test_an_unusual_mass_is_a_slip_of_the_unit_unless_listed(disc: Path) -> None:
+    heavy = SOLDER.replace("5 mg", "50 g")
+    with pytest.raises(InputError, match=r"features\[0\].mass.*50 g.*0.001 mg to 10 g.*unusual") as error:
+        with_features(disc, heavy)
+    assert error.value.nearest == ("50 mg",)
+    head, _, rest = disc.read_text(encoding="utf-8").partition("\n[[layers]]")
+    disc.write_text(f'{head}\nunusual = ["features[0].mass"]\n[[layers]]{rest}', encoding="utf-8")
+    assert read_chip(disc).features[0].size == "50 g"
 
 
 def test_orders_are_not_solved_point_by_point(disc: Path) -> None:
-    with pytest.raises(InputError, match="full"):
+    with pytest.raises(InputError, match="features.*full solves"):
         simulate(with_features(disc, SOLDER), band=(60e3, 80e3), points=5, full=True)
 
 

@@ -21,8 +21,9 @@ from materials.kinds import Piezoelectric
 from workbench.fem.elements import Lagrange
 from workbench.fem.half_space import FITTED, HalfSpace, half_space_constants
 from workbench.fem.operators import assemble
-from workbench.fem.patch import ALONG, AWAY, UP, NoFreeFace, Patch, patch_forms
+from workbench.fem.patch import ALONG, AWAY, UP, Patch, patch_forms
 from workbench.fem.solve import System
+from workbench.files.errors import InputError
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.model.problem import Problem, build, fill
 from workbench.physics.orders import ORDER, terms_of_order
@@ -91,7 +92,7 @@ def test_a_turn_about_the_axis_moves_a_patch_along_the_circumference(posed: Prob
 
 
 def test_a_patch_beyond_its_face_is_refused(posed: Problem) -> None:
-    with pytest.raises(NoFreeFace):
+    with pytest.raises(InputError, match="free plane face"):
         patch_forms(system_of(posed, 0).operators, replace(PATCH, distance=12e-3), 0)
 
 

@@ -8,19 +8,21 @@ from typing import TYPE_CHECKING
 
 from geometry.chip import Chip, read_chip
 from workbench.commands.parsed_options import output_folder
-from workbench.commands.terminal import print_line
+from workbench.commands.terminal import print_line, say_finding
 from workbench.files.ownership import Outputs
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-def run_export(options: argparse.Namespace, _console: Console) -> int:
+def run_export(options: argparse.Namespace, console: Console) -> int:
     """``workbench export``: STEP of the assembly, STL of every part."""
     chip = read_chip(options.chip)
     assembly, parts = export_solids(chip, output_folder(options, Outputs("export", solid_names(chip))))
     for path in (assembly, *parts.values()):
         print_line(str(path))
+    if chip.features:
+        say_finding(f"the solids are those of the layers, without {'; '.join(map(str, chip.features))}", console)
     return 0
 
 

@@ -27,6 +27,7 @@ from geometry.mesh import SectionMesh
 from workbench.fem.elements import Lagrange, polynomials
 from workbench.fem.operators import FullOperators
 from workbench.fem.places import CELL_SIDES
+from workbench.files.errors import InputError
 
 Real = NDArray[np.float64]
 
@@ -66,21 +67,13 @@ class Patch:
         return np.arccos(np.clip(cosine, -1.0, 1.0))
 
 
-class NoFreeFace(ValueError):
-    """A ``patch`` reaches beyond the free plane face of its region."""
-
-    def __init__(self, patch: Patch) -> None:
-        super().__init__(f"{patch} is not within a free plane face")
-        self.patch = patch
-
-
 def patch_forms(operators: FullOperators, patch: Patch, order: int) -> Real:
     """Forms (size, 3) of the mean displacement of a patch.
 
     Its directions are :data:`AWAY` from the axis, :data:`UP`, and :data:`ALONG` the circumference.
 
     Raises:
-        NoFreeFace: the patch is not within a free plane face of its region.
+        InputError: the patch is not within a free plane face of its region.
     """
     found = np.zeros((operators.size, 3))
     area = np.pi * patch.radius**2
@@ -141,4 +134,4 @@ def _pieces(mesh: SectionMesh, patch: Patch) -> Iterator[tuple[NDArray[np.int64]
             values = polynomials(mesh.order, (radius - left) / (right - left))[indices[kept, 1 - fixed]]
             yield every[:, cell], values.T, radius, weights
     if covered < (highest - lowest) * (1.0 - 1e-9):
-        raise NoFreeFace(patch)
+        raise InputError("the section", "features", str(patch), "a patch within a free plane face of its region")

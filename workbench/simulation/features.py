@@ -25,9 +25,8 @@ from geometry.chip import Chip
 from geometry.features import Feature
 from workbench.fem.half_space import FITTED, HalfSpace, half_space_constants
 from workbench.fem.operators import FullOperators, assemble
-from workbench.fem.patch import ALONG, AWAY, UP, NoFreeFace, Patch, patch_forms
+from workbench.fem.patch import ALONG, AWAY, UP, Patch, patch_forms
 from workbench.fem.solve import System
-from workbench.files.errors import InputError
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.problem import Problem
 from workbench.physics.orders import ORDER, terms_of_order
@@ -79,29 +78,24 @@ def spectrum_with(
 
     Raises
     ------
-    InputError : a feature is not on a free plane face.
     NotConverged, ResponseNotConverged, OrdersNotConverged : see :func:`compliance_of`.
     """
     assert found.model is not None
     assert found.solution is not None
     parts = [part_of(feature) for feature in chip.features]
-    try:
-        driven = [patch_forms(found.model.full, part.patch, 0).T @ (found.model.basis @ found.solution.states)
-                  for part in parts]
-    except NoFreeFace as error:
-        (index,) = (i for i, part in enumerate(parts) if part.patch is error.patch)
-        raise InputError(chip.file, f"features[{index}].distance", str(chip.features[index]),
-                         "a patch on a plane face that nothing else touches") from None
+    driven = [patch_forms(found.model.full, part.patch, 0).T @ (found.model.basis @ found.solution.states)
+              for part in parts]
     between = compliance_of(posed, [part.patch for part in parts], np.array([part.angle for part in parts]),
                             found.frequency, progress=progress)
     change = charge_change(parts, found.frequency, driven, between.total)
     before, charge = found.impedance, found.solution.charge
     impedance = before * charge / (charge + change)
-    largest = 100.0 * float(np.abs(np.log(impedance / before)).max())
+    changes = 100.0 * np.abs(np.log(impedance / before))
+    at = int(changes.argmax())
     listed = "; ".join(map(str, chip.features))
     return replace(found, impedance=impedance), (
-        f"{listed}: ln Z changes by up to {largest:.3g} % ({between.orders} orders, the last ones moved the compliance "
-        f"by {100.0 * between.moved:.1g} %)",
+        f"{listed}: ln Z changes by {changes[at]:.3g} % at {found.frequency[at] / 1e6:.6g} MHz and less at the other "
+        f"frequencies ({between.orders} orders, the last ones moved the compliance by {100.0 * between.moved:.1g} %)",
         "fields, energies, traps, heat and the modes of peaks are those of the chip without its features")
 
 

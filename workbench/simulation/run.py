@@ -242,8 +242,8 @@ def simulate(
     device = fill(chip, state, registry := _assuming(registry, assumed_losses, inviscid))
     _check_relative_error(relative_error)
     if chip.features and full:
-        raise InputError("simulate", "full", full, "False for a chip with features: the orders of its fields are "
-                         "coupled by reduced models")
+        raise InputError(chip.file, "features", f"{len(chip.features)} in a spectrum of full solves", "reduced models "
+                         "for a chip with features (without --full): they couple the orders of its fields")
     frequencies = frequency_grid(band_of(chip, band), points)
     progress("mesh", 0.0)
     span, of_mesh, energy = (float(frequencies[0]), float(frequencies[-1])), None, None
