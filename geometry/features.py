@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from geometry.dimension import millimetres
+from geometry.dimension import as_text, millimetres
 from geometry.measure import Axisymmetric, Measure
 from geometry.parts import Layer
 from workbench.files.errors import InputError, choose
@@ -22,7 +22,7 @@ from workbench.files.toml import TomlEntry
 #: Kinds of features, with the key of the size of each and its dimension.
 KINDS: Mapping[str, tuple[str, str]] = {"mass": ("mass", "mass"), "spring": ("stiffness", "stiffness")}
 
-#: Units of texts, by dimension.
+#: Units of a chip file, by dimension.
 _UNITS: Mapping[str, tuple[str, ...]] = {
     "length": ("mm", "um", "m"), "angle": ("deg", "rad"), "mass": ("mg", "g", "kg"), "stiffness": ("N/m",)}
 
@@ -52,7 +52,7 @@ class Feature:
     def size(self) -> str:
         """The mass or the stiffness in words."""
         key, dimension = KINDS[self.kind]
-        return _text(getattr(self, key), dimension)
+        return as_text(getattr(self, key), dimension)
 
     @property
     def centre(self) -> complex:
@@ -108,7 +108,7 @@ def check_features(features: Sequence[Feature], layers: Sequence[Layer], measure
         choose(feature.region, [layer.region for layer in layers], source=file, field=f"{field}.layer")
         for name, dimension in (KINDS[feature.kind], ("diameter", "length")):
             if not 0.0 < getattr(feature, name) < math.inf:
-                raise InputError(file, f"{field}.{name}", _text(getattr(feature, name), dimension),
+                raise InputError(file, f"{field}.{name}", as_text(getattr(feature, name), dimension),
                                  f"a {dimension} above zero")
         if not 0.0 <= feature.loss < 1.0:
             raise InputError(file, f"{field}.loss", feature.loss, "a share from 0 to below 1")
@@ -138,21 +138,15 @@ def _check_place(feature: Feature, layers: Sequence[Layer], file: str, field: st
     # A patch may lie about the axis of a full disc.
     least, most = low + radius if low else 0.0, high - radius
     if not least <= feature.distance <= most:
-        raise InputError(file, f"{field}.distance", _text(feature.distance, "length"),
+        raise InputError(file, f"{field}.distance", millimetres(feature.distance),
                          f"{millimetres(least)} to {millimetres(most)}: the patch, {millimetres(feature.diameter)} "
                          f"wide, lies on the free {feature.face} of {feature.region!r}")
-
-
-def _text(value: float, dimension: str) -> str:
-    """A quantity as text for messages and files."""
-    return format_quantity(value, dimension, _UNITS[dimension]) if math.isfinite(value) else str(value)
 
 
 def feature_keys(feature: Feature) -> dict[str, TomlEntry]:
     """The keys of a feature in a chip file."""
     size, dimension = KINDS[feature.kind]
-    found: dict[str, TomlEntry] = {
-        "kind": feature.kind, "layer": feature.region, "face": feature.face,
-        "distance": _text(feature.distance, "length"), "diameter": _text(feature.diameter, "length"),
-        "angle": _text(feature.angle, "angle"), size: _text(getattr(feature, size), dimension)}
+    sizes = {"distance": "length", "diameter": "length", "angle": "angle", size: dimension}
+    found: dict[str, TomlEntry] = {"kind": feature.kind, "layer": feature.region, "face": feature.face} | {
+        key: format_quantity(getattr(feature, key), kind, _UNITS[kind]) for key, kind in sizes.items()}
     return found | ({"loss": feature.loss} if feature.loss else {})

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 
-from geometry.dimension import ACROSS, Dimension
+from geometry.dimension import ACROSS, Dimension, as_text
 from geometry.features import KINDS, Feature
 from geometry.measure import ABOUT_AXIS, Measure, Straight
 from geometry.names import CAVITY, TRANSDUCER, role_of
@@ -81,13 +81,6 @@ WIDEST, OVERTONES, FREQUENCY_CONSTANT = 60.0, 30.0, 2000.0
 #: Largest factor by which a search may move a length out of its range and make it unusual. Doubled, a slip between cm
 #: and mm in code passes more often.
 LARGEST_MOVE = 30.0
-
-#: Units of messages with their factors to SI, by kind of quantity, each from its least value on.
-UNITS: Mapping[str, tuple[tuple[str, float, float], ...]] = {
-    "length": (("m", 1.0, 1.0), ("mm", 1e-3, 1e-3), ("um", 1e-6, 1e-6), ("nm", 1e-9, 0.0)),
-    "frequency": (("MHz", 1e6, 1e5), ("kHz", 1e3, 1e2), ("Hz", 1.0, 0.0)),
-    "mass": (("kg", 1.0, 1.0), ("g", 1e-3, 1e-3), ("mg", 1e-6, 0.0)),
-    "stiffness": (("N/m", 1.0, 0.0),), "density": (("kg/m^3", 1.0, 0.0),)}
 
 #: Factors between units that are often confused, the most likely first.
 SLIPS = (1e-3, 1e3, 1e-6, 1e6, 0.1, 10.0, 0.01, 100.0)
@@ -247,12 +240,3 @@ def _meant_band(band: tuple[float, float], thickness: float) -> tuple[str, ...]:
     first = FREQUENCY_CONSTANT / thickness
     low, high = min(found, key=lambda ends: abs(math.log(ends[0] * ends[1] / first**2)))
     return (f"{as_text(low, 'frequency')} to {as_text(high, 'frequency')}",)
-
-
-def as_text(value: float, kind: str, *, as_stated: bool = False) -> str:
-    """A quantity as text for messages."""
-    if kind == "temperature":
-        return f"{value:.6g} K" if as_stated else f"{value - 273.15:.4g} degC"
-    units = UNITS[kind]
-    unit, factor = next(((unit, factor) for unit, factor, least in units if abs(value) >= least), units[-1][:2])
-    return f"{value / factor:.4g} {unit}"

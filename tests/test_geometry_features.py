@@ -121,7 +121,7 @@ def test_an_unusual_mass_is_a_slip_of_the_unit_unless_listed(disc: Path) -> None
 
 
 def test_orders_are_not_solved_point_by_point(disc: Path) -> None:
-    with pytest.raises(InputError, match="features.*full solves"):
+    with pytest.raises(InputError, match=r"features.*full solves"):
         simulate(with_features(disc, SOLDER), band=(60e3, 80e3), points=5, full=True)
 
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.plausible import as_text
+from geometry.dimension import as_text
 from workbench.acoustics.sound_energy import SoundEnergy, sound_energy
 from workbench.design.cavity import Cavity
 from workbench.design.resonance import HALF, Impedance, ResonantQuantity, Responding

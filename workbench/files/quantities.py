@@ -44,7 +44,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "energy density": {"J/m^3": 1.0},
     "energy": {"J": 1.0, "fJ": 1e-15},
     "energy per temperature": {"J/K": 1.0, "fJ/K": 1e-15},
-    "stiffness": {"N/m": 1.0, "pN/um": 1e-6},
+    "stiffness": {"N/m": 1.0, "kN/m": 1e3, "pN/um": 1e-6},
     "temperature difference": {"K": 1.0},
     "temperature rate": {"K/s": 1.0, "mK/s": 1e-3},
     "memory": {"B": 1.0, "MB": 1e6, "GB": 1e9, "TB": 1e12},

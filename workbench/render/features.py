@@ -31,8 +31,8 @@ def draw_features(chip: Chip, path: Path) -> Path:
                               edgecolor=_OUTLINE, linewidth=0.6))
     for feature in chip.features:
         _draw(axes, feature)
-    # Room for the legend in a corner.
-    reach = 1.25e3 * max(layer.outer_radius for layer in chip.layers)
+    # Room for the legend in a corner, and for the sizes.
+    reach = 1.3e3 * max(layer.outer_radius for layer in chip.layers)
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="x (mm)", ylabel="y (mm)",
              title=f"{chip.name}, from above")
     handles = [Patch(color=colour, label=f"on the {face} of its layer")
@@ -50,5 +50,5 @@ def _draw(axes: object, feature: Feature) -> None:
     x, y = 1e3 * feature.distance * np.array([np.cos(feature.angle), np.sin(feature.angle)])
     colour, radius = _COLOURS[feature.face], 0.5e3 * feature.diameter
     axes.add_patch(Circle((x, y), radius, color=colour))
-    axes.annotate(f"{feature.size}, {feature.region}", (x, y - radius), (0, -4), textcoords="offset points",
+    axes.annotate(f"{feature.size}\n{feature.region}", (x, y - radius), (0, -4), textcoords="offset points",
                   ha="center", va="top", fontsize=9)
