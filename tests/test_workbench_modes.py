@@ -14,7 +14,7 @@ from support import layer_text
 
 import workbench as wb
 from workbench.cli import main
-from workbench.fem.modes import ModesNotConverged, eigenmodes
+from workbench.fem.modes import ModesNotConverged, ReducedModes, eigenmodes
 from workbench.fem.operators import assemble
 from workbench.fem.solve import System
 from workbench.files.errors import InputError
@@ -23,6 +23,7 @@ from workbench.render.mode_above import draw_mode_above, has_view_above
 from workbench.render.sections import animate_mode
 from workbench.results.circuit import FittedNumber, FittedResonance
 from workbench.simulation.matched_modes import matched_modes
+from workbench.simulation.peak_modes import mode_of_conductance
 
 DISC = """
 [chip]
@@ -311,3 +312,14 @@ def _dots(picture: Path) -> np.ndarray:
     """Red less blue of a picture."""
     rgb = np.asarray(Image.open(picture).convert("RGB"), dtype=float)
     return rgb[..., 0] - rgb[..., 2]
+
+
+def test_a_weak_mode_is_behind_its_peak_on_the_flank_of_a_strong_one() -> None:
+    omega = 2.0 * np.pi * 1e6 * np.array([1.0 - 0.5j / 40.0, 1.08 - 0.5j / 900.0])
+    found = ReducedModes(omega, np.array([1.0, 0.02], dtype=complex), np.zeros((0, 2), dtype=complex))
+    at = omega[1].real / (2.0 * np.pi)
+    amplitudes = found.drive**2 / (omega**2 - omega[1].real**2)
+    parts = (-1j * amplitudes).real
+    assert parts[0] > 2.0 * parts[1]
+    assert mode_of_conductance(found, at) == 1
+    assert mode_of_conductance(found, 1.0e6) == 0

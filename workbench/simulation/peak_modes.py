@@ -1,8 +1,8 @@
 """The mode behind each peak of a simulated state.
 
 The poles of the admittance of its reduced model are modes with short-circuited electrodes. At a peak of the conductance
-it is the mode of the largest modal conductance, at a peak of the energy in the cavity that of the largest modal energy
-there.
+it is the mode whose part bends the most: modes far away only add a smooth background. At a peak of the energy in the
+cavity it is the mode of the largest modal energy there.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.acoustics.fields import section_nodes
-from workbench.fem.modes import Eigenmodes, reduced_modes
+from workbench.fem.modes import Eigenmodes, ReducedModes, reduced_modes
 from workbench.fem.solve import Solution, System
 from workbench.reduced.model import ReducedModel
 from workbench.results.brief import Brief
@@ -68,11 +68,22 @@ def peak_modes(
         # The charge at 1 V is a sum over modes, with these amplitudes of their states.
         amplitudes = found.drive / (found.omega**2 - (2.0 * np.pi * at) ** 2)
         if quantity == CONDUCTANCE:
-            parts = (-2j * np.pi * at * found.drive * amplitudes).real / height
-            result.append(PeakMode(at, quantity, float(parts.max()), modes[int(np.argmax(parts))]))
+            index = mode_of_conductance(found, at)
+            part = (-2j * np.pi * at * found.drive * amplitudes)[index].real
+            result.append(PeakMode(at, quantity, float(part / height), modes[index]))
         else:
             result.append(PeakMode(at, quantity, None, modes[int(np.argmax(liquid * np.abs(amplitudes) ** 2))]))
     return tuple(result)
+
+
+def mode_of_conductance(found: ReducedModes, frequency: float) -> int:
+    """The index of the mode behind a peak of the conductance at a `frequency` (Hz).
+
+    The admittance is the sum over modes of -i w d^2 / (w_n^2 - w^2). The second derivative of this mode's part is the
+    most negative one.
+    """
+    near, far = found.omega - 2.0 * np.pi * frequency, found.omega + 2.0 * np.pi * frequency
+    return int(np.argmin((-1j * found.drive**2 * (near**-3 - far**-3)).real))
 
 
 def _peaks(frequency: Real, conductance: Real) -> list[tuple[float, float]]:
