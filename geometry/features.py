@@ -123,7 +123,7 @@ def check_features(features: Sequence[Feature], layers: Sequence[Layer], measure
 
 
 def _check_place(feature: Feature, layers: Sequence[Layer], file: str, field: str) -> None:
-    """Check that a patch is on a free plane face of its layer."""
+    """Check that a patch is on a free plane face."""
     index = next(i for i, layer in enumerate(layers) if layer.region == feature.region)
     layer, beside = layers[index], index + (1 if feature.face == "top" else -1)
     neighbour = layers[beside] if 0 <= beside < len(layers) else None

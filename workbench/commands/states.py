@@ -82,7 +82,8 @@ def _hexadecimal(frequency: float, impedance: complex) -> str:
 def field_files(state: str) -> tuple[str, ...]:
     """Names of the files of the fields of a state. They are pictures (`workbench.render.gallery`) and a file for
     ParaView."""
-    pictures = ("displacement", "pressure", "gorkov", "profiles", "cutaway", "losses", "mesh", "features")
+    pictures = ("displacement", "pressure", "gorkov", "profiles", "cutaway", "losses", "mesh", "features",
+                "pattern")
     return (f"fields_{state}.vtu", *(f"{name}_{state}.png" for name in pictures))
 
 

@@ -16,7 +16,7 @@ from workbench.render.canvas import Picture
 from workbench.simulation.run import DrawnState
 
 #: Fields that can be requested by name.
-FIELDS = ("displacement", "pressure", "gorkov", "cutaway", "losses", "mesh", "features")
+FIELDS = ("displacement", "pressure", "gorkov", "cutaway", "losses", "mesh", "features", "pattern")
 
 #: Thickness of a fluid, relative to the chip's height, below which it is only a line in a picture.
 VISIBLE = 0.01
@@ -37,6 +37,7 @@ def draw_state(
     makers: Mapping[str, Callable[[DrawnState, Path], tuple[_Pictures, str]]] = {
         "displacement": _displacement, "pressure": _pressure, "gorkov": _gorkov, "cutaway": _cutaway,
         "losses": _losses, "mesh": _mesh, "features": _features,
+        "pattern": _pattern,
     }
     pictures: _Pictures = []
     fluid = shot.problem.materials.get(CAVITY)
@@ -124,6 +125,15 @@ def _features(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
         return [], "the chip file has no features"
     path = features.draw_features(shot.chip, folder / f"features_{shot.state}.png")
     return [Picture(path, f"{shot.state}: features of the chip, from above")], ""
+
+
+def _pattern(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
+    from workbench.render import pattern
+
+    if shot.pattern is None:
+        return [], "the chip file has no features, or the cavity no liquid"
+    path = pattern.draw_pattern(shot.pattern, shot.traps, folder / f"pattern_{shot.state}.png")
+    return [Picture(path, f"{shot.state}: the sound in the cavity with features, from above, at {_place(shot)}")], ""
 
 
 def load_libraries() -> None:

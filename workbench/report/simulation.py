@@ -37,6 +37,9 @@ from workbench.simulation.run import Simulation, Snapshot
 #: Peaks of the energy at most that a picture marks, the highest ones.
 MOST_MARKED = 2
 
+#: Traps around the axis at most that a table lists, the deepest ones.
+MOST_LISTED = 20
+
 #: Name of the picture of energy over frequency.
 ENERGY_PICTURE = "energy.png"
 
@@ -109,6 +112,15 @@ def peak_modes_table(runs: Sequence[Simulation]) -> TextTable:
         "state | peak (MHz):.4f | of | part (%):.0f | f (MHz):.6f | Q:.4g | mode",
         ((run.state, peak.frequency, peak.quantity, peak.share, peak.mode.frequency, peak.mode.q, peak.mode.words)
          for run in runs for peak in run.peak_modes))
+
+
+def pattern_table(run: Simulation) -> TextTable:
+    """The deepest traps of a particle around the axis."""
+    assert run.pattern is not None
+    found = () if run.traps is None else run.pattern.traps(run.traps.forces)
+    return table("trap around the axis | r (mm):.3f | z (mm):.3f | angle (deg):.0f | potential (fJ):.3g", (
+        (number, trap.radius, trap.height, trap.angle, trap.potential)
+        for number, trap in enumerate(found[:MOST_LISTED], 1)))
 
 
 def model_table(runs: Sequence[Simulation]) -> TextTable:
@@ -244,6 +256,10 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
                        "radial_barrier_j depth_j lift_n share_of_cavity=share radial_stiffness_n_m "
                        "axial_stiffness_n_m on_wall }") | {
             "focus_time_s": focus_time(run.traps), "net_weight_n": net_weight(forces.particle, forces.fluid)}
+    if run.pattern is not None:
+        traps = () if run.traps is None else run.pattern.traps(run.traps.forces)
+        found["pattern"] = record(run.pattern, "frequency_hz orders unevenness height_m=height") | {
+            "traps": record(traps, "r_m=radius z_m=height angle_rad=angle potential_j=potential")}
     channel = record(
         _channel(run), "mean_energy_density_j_m3=energy_density per_square_vpp_j_m3_v2=energy_per_square_volt "
                        "per_watt_j_m3_w=energy_per_watt unevenness_over_height=unevenness "

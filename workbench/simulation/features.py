@@ -5,16 +5,16 @@ displacement l^T x. The chip without it has one system A_m for each order m, and
 compliance G, the sum over all orders of l^T A_m^-1 l, and the mean displacement y = l^T x_0 of the driven chip, the
 charge changes by
 
-    Q - Q_0 = -y^T (1 + D G)^-1 D y .
+    Q - Q_0 = y^T f ,    f = -(1 + D G)^-1 D y ,
 
-Parts at several angles couple through cos and sin of m times their differences. The sum over
-high orders is that of an elastic half-space, fitted to the last ones (`workbench.fem.half_space`). Orders are added
-until this total stays.
+with the forces f of the parts on their patches. Parts at several angles couple through cos and sin of m times their
+differences. The sum over high orders is that of an elastic half-space, fitted to the last ones
+(`workbench.fem.half_space`). Orders are added until this total stays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -96,7 +96,7 @@ def spectrum_with(
     return replace(found, impedance=impedance), (
         f"{listed}: ln Z changes by {changes[at]:.3g} % at {found.frequency[at] / 1e6:.6g} MHz and less at the other "
         f"frequencies ({between.orders} orders, the last ones moved the compliance by {100.0 * between.moved:.1g} %)",
-        "fields, energies, traps, heat and the modes of peaks are those of the chip without its features")
+        "the fields of the section, energies, traps, heat and the modes of peaks are those of the chip without its features")
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,13 +105,14 @@ class Compliance:
 
     ``total`` (n, k, k) is the sum over all orders in m/N, by patch and direction (:func:`directions_of`). ``orders`` is
     the number of orders that were computed, ``moved`` the relative change of the total in the last ones, ``error`` the
-    largest relative error of an order.
+    largest relative error of an order. ``fields`` are those of unit forces by order, if kept.
     """
 
     total: Complex
     orders: int
     moved: float
     error: float
+    fields: tuple[Complex, ...] = ()
 
 
 def directions_of(count: int) -> list[int]:
@@ -121,11 +122,13 @@ def directions_of(count: int) -> list[int]:
 
 def compliance_of(
     posed: Problem, patches: Sequence[Patch], angles: Real, frequencies: Real, *, tolerance: float = TOLERANCE,
-    progress: Progress = no_progress,
+    keep: Callable[[FullOperators, Complex], Complex] | None = None, progress: Progress = no_progress,
 ) -> Compliance:
     """The compliance between patches at `angles` (rad) of a round chip.
 
-    The frequencies (n,) are in Hz, and the `tolerance` is relative, at every frequency.
+    The frequencies (n,) are in Hz, and the `tolerance` is relative, at every frequency. At a single one, `keep` returns
+    the part of the fields (size - 1, k) under unit forces that is kept of every order. Each force acts at the angle 0,
+    and fields of those along the circumference vary with sin(m t) where the others vary with cos(m t).
 
     Raises
     ------
@@ -136,12 +139,13 @@ def compliance_of(
     size = len(directions)
     is_along = np.tile(np.array(directions) == ALONG, len(patches))
     turn = np.kron(angles[:, None] - angles, np.ones((size, size)))
-    orders, total, error = _Orders(posed, patches, directions, frequencies, tolerance), 0.0, 0.0
+    orders, total, error = _Orders(posed, patches, directions, frequencies, tolerance, keep), 0.0, 0.0
     space = HalfSpace.of(patches, angles) if any(patch.distance for patch in patches) else None
-    last, spaces, sums = list[Complex](), list[Real](), list[Complex]()
+    last, spaces, sums, fields = list[Complex](), list[Real](), list[Complex](), list[Complex]()
     for order in range(MOST_ORDERS):
-        own, off = orders.compliance(order)
-        # Displacements along the circumference have the other parity.
+        own, off, kept = orders.compliance(order)
+        fields += [] if kept is None else [kept]
+        # Fields of forces along the circumference have the other parity.
         factor = np.where(is_along[:, None] == is_along, np.cos(order * turn),
                           np.where(is_along, 1.0, -1.0) * np.sin(order * turn))
         total, error = total + own * factor, max(error, off)
@@ -149,7 +153,7 @@ def compliance_of(
         if space is None:
             if order == 1:
                 # Patches about the axis move with the first two orders alone.
-                return Compliance(np.asarray(total), 2, 0.0, error)
+                return Compliance(np.asarray(total), 2, 0.0, error, tuple(fields))
             continue
         last = [*last[1 - FITTED:], np.diagonal(own, axis1=1, axis2=2)]
         spaces = [*spaces[1 - FITTED:], np.repeat(np.diagonal(space.order(order), axis1=1, axis2=2), size, axis=1)]
@@ -162,21 +166,30 @@ def compliance_of(
         moved = max(float((np.linalg.norm(sums[-1] - each, axis=(1, 2)) / np.linalg.norm(sums[-1], axis=(1, 2))).max())
                     for each in sums)
         if len(sums) > FITTED and moved <= tolerance:
-            return Compliance(sums[-1], order + 1, moved, error)
+            return Compliance(sums[-1], order + 1, moved, error, tuple(fields))
     raise OrdersNotConverged(f"the total of {MOST_ORDERS} orders still moves by {moved:.1e}")
 
 
 def charge_change(parts: Sequence[RigidPart], frequencies: Real, driven: Sequence[Complex], total: Complex) -> Complex:
     """The change of the charge (n,) by rigid `parts`.
 
-    It is in C at 1 V. `driven` are the mean displacements (3, n) in m at 1 V of the patch of each part, without the
-    parts, and `total` is the compliance of the patches.
+    It is in C at 1 V. See :func:`forces_of` for the arguments.
+    """
+    y = np.vstack([each[directions_of(len(parts))] for each in driven])
+    return np.asarray(np.einsum("in,ni->n", y, forces_of(parts, frequencies, driven, total)))
+
+
+def forces_of(parts: Sequence[RigidPart], frequencies: Real, driven: Sequence[Complex], total: Complex) -> Complex:
+    """The forces (n, k) of rigid `parts` on their patches.
+
+    They are in N at 1 V. `driven` are the mean displacements (3, n) in m at 1 V of the patch of each part, without the parts, and `total` is
+    the compliance of the patches.
     """
     directions = directions_of(len(parts))
     y = np.vstack([each[directions] for each in driven]).T
     d = np.repeat(np.array([part.dynamic_stiffness(frequencies) for part in parts]), len(directions), axis=0).T
     coupling = np.eye(y.shape[1]) + d[:, :, None] * total
-    return -np.einsum("ni,ni->n", y, np.linalg.solve(coupling, (d * y)[:, :, None])[:, :, 0])
+    return np.asarray(-np.linalg.solve(coupling, (d * y)[:, :, None])[:, :, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,31 +201,35 @@ class _Orders:
     directions: list[int]
     frequencies: Real
     tolerance: float
+    keep: Callable[[FullOperators, Complex], Complex] | None
 
-    def compliance(self, order: int) -> tuple[Complex, float]:
-        """The compliance (n, k, k) of an order, and its relative error.
+    def compliance(self, order: int) -> tuple[Complex, float, Complex | None]:
+        """The compliance (n, k, k) of an order at equal angles.
 
-        The parts are at equal angles.
+        Its relative error and the fields to keep follow.
         """
-        found, error = self._part(order, self._operators(order))
+        found, error, kept = self._part(order, self._operators(order))
         if order == 0 and ALONG in self.directions:
             # Torsion: fields along s that do not vary along it. Their mean square is one, not a half.
-            torsion, off = self._part(0, self._operators(2), is_torsion=True)
-            return found + 0.5 * torsion, max(error, off)
-        return found, error
+            torsion, off, _ = self._part(0, self._operators(2), is_torsion=True)
+            return found + 0.5 * torsion, max(error, off), kept
+        return found, error, kept
 
-    def _part(self, order: int, operators: FullOperators, *, is_torsion: bool = False) -> tuple[Complex, float]:
+    def _part(
+        self, order: int, operators: FullOperators, *, is_torsion: bool = False
+    ) -> tuple[Complex, float, Complex | None]:
         system = System(operators, {**self.posed.values, ORDER: float(order)})
         forms = np.hstack([patch_forms(operators, patch, order)[:, self.directions] for patch in self.patches])
         is_along = np.tile(np.array(self.directions) == ALONG, len(self.patches))
         acting = forms.any(axis=0) & (is_along == is_torsion if order == 0 else True)
         result = np.zeros((self.frequencies.size, acting.size, acting.size), dtype=complex)
-        if not acting.any():
-            return result, 0.0
-        found = response(system, forms[:, acting], self.frequencies, self.tolerance)
-        at = np.flatnonzero(acting)
-        result[:, at[:, None], at] = found.compliance
-        return result, found.error
+        fields = np.zeros((operators.size - 1, acting.size), dtype=complex)
+        error, at = 0.0, np.flatnonzero(acting)
+        if at.size:
+            found = response(system, forms[:, acting], self.frequencies, self.tolerance)
+            result[:, at[:, None], at], error = found.compliance, found.error
+            fields[:, at] = found.fields(0)
+        return result, error, None if self.keep is None else self.keep(operators, fields)
 
     def _operators(self, order: int) -> FullOperators:
         return self._assembled[min(order, 2)]

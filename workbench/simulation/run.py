@@ -49,6 +49,7 @@ from workbench.simulation.fixed_point import warmed
 from workbench.simulation.mesh_error import MeshErrorEstimate
 from workbench.simulation.mesh_error import estimate as mesh_error
 from workbench.simulation.operating_point import OperatingPoint, operating_point
+from workbench.simulation.pattern import CavityPattern, cavity_pattern
 from workbench.simulation.peak_modes import PeakMode, peak_modes
 from workbench.simulation.solved_spectrum import (
     SolvedSpectrum,
@@ -84,7 +85,8 @@ class MeshTooCoarse(UserWarning):
 @dataclass(frozen=True, eq=False, repr=False)
 class DrawnState(Brief):
     """One state at one frequency and drive, for pictures. ``losses`` (W) are by region, ``closure`` is their relative
-    difference from the electrical input power. ``traps`` is None without a fluid-filled cavity and a particle."""
+    difference from the electrical input power. ``traps`` is None without a fluid-filled cavity and a particle.
+    ``pattern`` is that of the cavity of a simulated chip with features."""
 
     chip: Chip
     state: str
@@ -93,6 +95,7 @@ class DrawnState(Brief):
     losses: Mapping[str, float]
     closure: float
     traps: TrapReport | None
+    pattern: CavityPattern | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -275,13 +278,19 @@ def simulate(
     named = () if found.model is None or found.solution is None else peak_modes(
         found.model, found.solution, system, electrodes.clamped, operating.peaks)
     lap("modes of the peaks")
+    pattern = None
+    if chip.features and device.is_wet:
+        pattern = cavity_pattern(shot.problem, shot.solution, [part_of(each) for each in chip.features], drive,
+                                 progress)
+        more = (*more, str(pattern))
+        lap("pattern around the axis")
     left_out = tuple(map(float, np.setdiff1d(frequencies, found.frequency)))
     return Simulation(
         chip=chip, state=shot.state, problem=shot.problem, fields=shot.fields, losses=shot.losses, closure=shot.closure,
         traps=shot.traps, residual=max(found.residual, shot.residual), operators=system.operators, spectrum=spectrum,
         figures=merit, no_resonance=reason, error=found.error, mesh_error=of_mesh, solves=found.solves + 1,
         seconds=lap.seconds, capacitance=electrodes, peak_modes=named, left_out=left_out, solution=shot.solution,
-        energy=energy, warm=shot.warm,
+        energy=energy, warm=shot.warm, pattern=pattern,
         operating=replace(operating, follows=shot.warm is not None and shot.warm.is_followed),
         findings=(*more, *findings_of(found, relative_error, device, left_out, spectrum, merit), *shot.findings))
 

@@ -1,0 +1,64 @@
+"""The sound in the cavity, as seen from above."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workbench.acoustics.traps import TrapReport
+from workbench.render.canvas import PLAIN_COLOURS, new_figure, prefixed, save_figure
+from workbench.simulation.pattern import CavityPattern
+
+Real = NDArray[np.float64]
+
+#: Points of the raster along each side. Doubled, four times as many are computed.
+_POINTS = 200
+
+
+def draw_pattern(pattern: CavityPattern, traps: TrapReport | None, path: Path) -> Path:
+    """Draw the pressure amplitude at the height where it is largest.
+
+    With `traps` of a particle, its Gor'kov potential at the height of its deepest trap is drawn beside it, with all
+    traps whose height is within a sixteenth of a wavelength. Writes `path`.
+    """
+    radius = 1e3 * pattern.radius
+    figure = new_figure(5.5 if traps is None else 11.0, 5.2)
+    axes = figure.subplots(1, 1 if traps is None else 2, squeeze=False)[0]
+    panels = [(pattern.height, "pressure amplitude", "Pa", _on_raster(pattern, None, pattern.height))]
+    found = () if traps is None else pattern.traps(traps.forces)
+    if traps is not None:
+        height = found[0].height if found else pattern.height
+        panels.append((height, "Gor'kov potential", "J", _on_raster(pattern, traps, height)))
+    for axis, (height, words, unit, values) in zip(axes, panels, strict=True):
+        factor, shown = prefixed(float(np.nanmax(np.abs(values))), unit)
+        drawn = axis.imshow(np.ma.masked_invalid(values * factor), cmap=PLAIN_COLOURS, origin="lower",
+                            extent=(-radius, radius, -radius, radius), interpolation="nearest")
+        figure.colorbar(drawn, ax=axis, label=f"{words} ({shown})", shrink=0.75)
+        axis.set(title=f"z = {1e3 * height:.3f} mm", xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
+    if found:
+        near = [trap for trap in found if abs(trap.height - found[0].height) < pattern.wavelength / 16.0]
+        places = np.array([trap.radius * np.exp(1j * trap.angle) for trap in near])
+        axes[-1].plot(1e3 * places.real, 1e3 * places.imag, "o", markerfacecolor="none", markeredgecolor="#d55e00",
+                      label="traps")
+        axes[-1].legend(loc="upper right")
+    figure.suptitle(f"in the cavity at {pattern.frequency / 1e6:.4f} MHz, from above", fontsize=10)
+    return save_figure(figure, path)
+
+
+def _on_raster(pattern: CavityPattern, traps: TrapReport | None, height: float) -> Real:
+    """The pressure amplitude or the potential on a square (n, n).
+
+    It is at a `height`, NaN beside the cavity, and the potential that of the particle of `traps`.
+    """
+    ends = np.linspace(-pattern.radius, pattern.radius, _POINTS)
+    x, y = np.meshgrid(ends, ends)
+    r, angles = np.linspace(0.0, pattern.radius, _POINTS), np.linspace(-np.pi, np.pi, 2 * _POINTS + 1)
+    places = np.column_stack([r, np.full(r.size, height)])
+    values = np.abs(pattern.pressure(places, angles)) if traps is None else pattern.potential(
+        traps.forces, places, angles)
+    # The nearest place of the polar raster is closer than a point of the picture.
+    across = np.round(np.hypot(x, y) / pattern.radius * (r.size - 1)).astype(int)
+    around = np.round((np.arctan2(y, x) + np.pi) / (2.0 * np.pi) * (angles.size - 1)).astype(int)
+    return np.where(across < r.size, values[np.minimum(across, r.size - 1), around], np.nan)
