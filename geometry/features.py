@@ -147,6 +147,7 @@ def feature_keys(feature: Feature) -> dict[str, TomlEntry]:
     """The keys of a feature in a chip file."""
     size, dimension = KINDS[feature.kind]
     sizes = {"distance": "length", "diameter": "length", "angle": "angle", size: dimension}
-    found: dict[str, TomlEntry] = {"kind": feature.kind, "layer": feature.region, "face": feature.face} | {
-        key: format_quantity(getattr(feature, key), kind, _UNITS[kind]) for key, kind in sizes.items()}
+    found: dict[str, TomlEntry] = {
+        "kind": feature.kind, "layer": feature.region, "face": feature.face,
+        **{key: format_quantity(getattr(feature, key), kind, _UNITS[kind]) for key, kind in sizes.items()}}
     return found | ({"loss": feature.loss} if feature.loss else {})

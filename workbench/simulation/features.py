@@ -96,7 +96,8 @@ def spectrum_with(
     return replace(found, impedance=impedance), (
         f"{listed}: ln Z changes by {changes[at]:.3g} % at {found.frequency[at] / 1e6:.6g} MHz and less at the other "
         f"frequencies ({between.orders} orders, the last ones moved the compliance by {100.0 * between.moved:.1g} %)",
-        "the fields of the section, energies, traps, heat and the modes of peaks are those of the chip without its features")
+        "the fields of the section, energies, traps, heat and the modes of peaks are those of the chip without its "
+        "features")
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,8 +183,8 @@ def charge_change(parts: Sequence[RigidPart], frequencies: Real, driven: Sequenc
 def forces_of(parts: Sequence[RigidPart], frequencies: Real, driven: Sequence[Complex], total: Complex) -> Complex:
     """The forces (n, k) of rigid `parts` on their patches.
 
-    They are in N at 1 V. `driven` are the mean displacements (3, n) in m at 1 V of the patch of each part, without the parts, and `total` is
-    the compliance of the patches.
+    They are in N at 1 V. `driven` are the mean displacements (3, n) in m at 1 V of the patch of each part, without the
+    parts, and `total` is the compliance of the patches.
     """
     directions = directions_of(len(parts))
     y = np.vstack([each[directions] for each in driven]).T

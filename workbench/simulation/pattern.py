@@ -132,7 +132,8 @@ class CavityPattern(Brief):
         across, up = (cosines[:, k] @ cosine + sines[:, k] @ sine for k in (0, 1))
         c, s = (interpolate(self.mesh, each, places, [CAVITY]) for each in (self.cosines, self.sines))
         around = (s * order / radius) @ cosine - (c * order / radius) @ sine
-        return np.stack([across, around, up], axis=2) / (2j * np.pi * self.frequency * self.density)
+        slopes: Complex = np.stack([across, around, up], axis=2)
+        return slopes / (2j * np.pi * self.frequency * self.density)
 
     def potential(self, forces: ParticleForces, places: Real, angles: Real) -> Real:
         """The Gor'kov potential (n, a) in J of the particle of `forces`."""

@@ -79,8 +79,8 @@ def peak_modes(
 def mode_of_conductance(found: ReducedModes, frequency: float) -> int:
     """The index of the mode behind a peak of the conductance.
 
-    The peak is at a `frequency` (Hz). The admittance is the sum over modes of -i w d^2 / (w_n^2 - w^2). The second derivative of this mode's part is the
-    most negative one.
+    The peak is at a `frequency` (Hz). The admittance is the sum over modes of -i w d^2 / (w_n^2 - w^2). The second
+    derivative of this mode's part is the most negative one.
     """
     near, far = found.omega - 2.0 * np.pi * frequency, found.omega + 2.0 * np.pi * frequency
     return int(np.argmin((-1j * found.drive**2 * (near**-3 - far**-3)).real))
