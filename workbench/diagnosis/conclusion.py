@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from workbench.campaign.state import DeviceState, StateFit, reduced_chi_square
+from workbench.campaign.state import DeviceState, StateFit
 from workbench.diagnosis.decision import NOT_FINISHED, Decision, Evidence, Priors, decide
 from workbench.diagnosis.device import Model
 from workbench.diagnosis.estimates import beyond_priors
@@ -47,8 +47,9 @@ def unexplained_as_stated(model: Model, stated: Sequence[StateFit], criteria: Cr
 
 def unexplained_states(explanation: Explanation, criteria: Criteria) -> list[str]:
     """Names of the fitted states that an explanation does not explain."""
-    return [state.name for state, log in zip(explanation.weighting.states, explanation.log_ratio, strict=True)
-            if _is_unexplained(state, reduced_chi_square(log, state.noise, state.data), criteria)]
+    of = zip(explanation.weighting.states, explanation.reduced_chi_squares, strict=True)
+    return [state.name for state, reduced in of
+            if _is_unexplained(state, reduced, criteria)]
 
 
 def _is_unexplained(state: DeviceState, reduced: float, criteria: Criteria, *, held_out: bool = False) -> bool:

@@ -31,6 +31,7 @@ from workbench.diagnosis.local_problem import LocalProblem, Scales
 from workbench.diagnosis.modes import Mode, columns
 from workbench.diagnosis.odds import TERM
 from workbench.diagnosis.weighting import Weighting
+from workbench.fitting.covariance import Covariance
 from workbench.fitting.objective import Objective, Residual
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.search import FitSearch, Optimum
@@ -181,6 +182,20 @@ class Explanation:
             real, imaginary = np.split(whole[rows], 2)
             parts.append(np.asarray(state.noise * (real + 1j * imaginary), dtype=np.complex128))
         return parts
+
+    @property
+    def reduced_chi_squares(self) -> list[float]:
+        """The reduced chi-square of every recording's residual after the parameters.
+
+        Its covariance is that of the stated noise and of the likeliest inhomogeneity, r^T (1 + D D^T)^-1 r, so that its
+        expectation is 1 for an uneven device too.
+        """
+        local = self.local
+        residual = local.residual + local.tangents @ local.best[2].step
+        deviations = local.inhomogeneous(self.scales.inhomogeneity)
+        white = [Covariance.of(deviations[rows]).whitened(residual[rows]) for rows in data_rows(self.weighting.states)]
+        return [float(each @ each) / (state.data * state.noise.size)
+                for each, state in zip(white, self.weighting.states, strict=True)]
 
     @property
     def rms(self) -> float:

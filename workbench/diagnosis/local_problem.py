@@ -107,6 +107,10 @@ class LocalProblem:
         """The deviations (m, k) of unit size beside the noise."""
         return np.column_stack([self.cosines, self.parts, self.outside, self.term])
 
+    def inhomogeneous(self, size: float) -> Real:
+        """The deviations (m, k) by inhomogeneity of a `size`, in units of the stated noise."""
+        return size * np.column_stack([self.cosines, self.parts])
+
     @property
     def unit_deviations(self) -> Real:
         """The deviations (m, k) of unit size, in each row's standard deviations."""

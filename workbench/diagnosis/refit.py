@@ -231,7 +231,7 @@ def predictions(held: Likelihood, explanation: Explanation, joined: Explanation)
     """
     count, local, both = len(held.states), explanation.local, joined.local
     start, known = local.residual.size, local.offset.size
-    fields = explanation.scales.inhomogeneity * np.column_stack([both.cosines, both.parts])
+    fields = both.inhomogeneous(explanation.scales.inhomogeneity)
     design = np.column_stack([both.tangents, fields])
     # The amplitudes are parameters of unit variance: as such, their covariance with the others is known.
     beside = np.ones(fields.shape[1])
