@@ -261,7 +261,7 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
         "scores": [record(s, "effect=effect.name region=effect.region gain evidence") | {
             "sigmas": math.sqrt(max(s.gain, 0.0))} for s in found.found.base.scores],
         "refits": [record(e, "name=hypothesis.name rms_log_residual=rms noise_scales=local.noise reduced_chi_squares "
-                              "unconverged") | {
+                              "inhomogeneity=scales.inhomogeneity unconverged") | {
             "effects": [effect.name for effect in e.hypothesis.effects],
             "evidence": e.log_evidence - base.explanation.log_evidence, "held_out": refit.held_out - base.held_out,
             "log_odds": odds[e.hypothesis.name], "reduced_chi_square": e.chi_square / e.local.residual.size}
