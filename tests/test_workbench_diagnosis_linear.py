@@ -111,6 +111,28 @@ def test_the_prediction_of_a_state_allows_for_inhomogeneity_that_the_others_show
     assert np.mean(reduced) == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / held / 100))
 
 
+@pytest.mark.parametrize(("true", "expected"), [(0.0, 1.0), (2.0, 1.0), (40.0, None)])
+def test_a_fitted_state_is_tested_with_the_inhomogeneity_of_usual_devices(true: float, expected: float | None) -> None:
+    """Its chi-square has the expectation 1, to four standard errors; beyond the range, it is that of the noise."""
+    rng, size, sizes = np.random.default_rng(5), 120, tuple(np.logspace(-1.0, 1.0, 7))
+    states = tuple(SimpleNamespace(noise=np.ones(size // 4), data=2, observation=None) for _ in range(2))
+    reduced = []
+    for _ in range(40):
+        parts = rng.standard_normal((size, 6))
+        residual = parts @ (true * rng.standard_normal(6)) + rng.standard_normal(size)
+        local = made_problem(residual, np.zeros((size, 1)), np.ones(1), offset=np.zeros(1), parts=parts,
+                             inhomogeneities=sizes)
+        log = [each[:size // 4] + 1j * each[size // 4:] for each in np.split(residual, 2)]
+        found = made_explanation(local, np.zeros(1), states=states, log_ratio=log)
+        plain = [float(np.mean(np.abs(each) ** 2)) / 2.0 for each in log]
+        if expected is None:
+            assert local.is_unusually_uneven
+            assert found.reduced_chi_squares == pytest.approx(plain)
+        reduced += found.reduced_chi_squares
+    if expected is not None:
+        assert np.mean(reduced) == pytest.approx(expected, abs=4.0 * math.sqrt(2.0 / (size // 2) / len(reduced)) + 0.05)
+
+
 def test_stated_numbers_that_leave_noise_are_no_mismatch_however_many_they_are() -> None:
     """Pulls are those of chance: the sum of their squares is about as large as they are many."""
     known = tuple(number(f"n{k}", 1.0) for k in range(40))

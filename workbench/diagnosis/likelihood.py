@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.campaign.state import DeviceState, data_rows, rms_of_impedance
+from workbench.campaign.state import DeviceState, data_rows, reduced_chi_square, rms_of_impedance
 from workbench.catalogue.effect import Effect
 from workbench.diagnosis.device import Model, inhomogeneities
 from workbench.diagnosis.local_problem import LocalProblem, Scales
@@ -188,14 +188,17 @@ class Explanation:
         """The reduced chi-square of every recording's residual after the parameters.
 
         Its covariance is that of the stated noise and of the likeliest inhomogeneity, r^T (1 + D D^T)^-1 r, so that its
-        expectation is 1 for an uneven device too.
+        expectation is 1 for an uneven device too. A size at the end of its range is that of no usual device: the
+        covariance is then that of the noise alone.
         """
-        local = self.local
+        local, states = self.local, self.weighting.states
+        if local.is_unusually_uneven:
+            return [reduced_chi_square(log, state.noise, state.data)
+                    for log, state in zip(self.log_ratio, states, strict=True)]
         residual = local.residual + local.tangents @ local.best[2].step
         deviations = local.inhomogeneous(self.scales.inhomogeneity)
-        white = [Covariance.of(deviations[rows]).whitened(residual[rows]) for rows in data_rows(self.weighting.states)]
-        return [float(each @ each) / (state.data * state.noise.size)
-                for each, state in zip(white, self.weighting.states, strict=True)]
+        white = [Covariance.of(deviations[rows]).whitened(residual[rows]) for rows in data_rows(states)]
+        return [float(each @ each) / (state.data * state.noise.size) for each, state in zip(white, states, strict=True)]
 
     @property
     def rms(self) -> float:

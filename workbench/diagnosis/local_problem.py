@@ -107,6 +107,11 @@ class LocalProblem:
         """The deviations (m, k) of unit size beside the noise."""
         return np.column_stack([self.cosines, self.parts, self.outside, self.term])
 
+    @property
+    def is_unusually_uneven(self) -> bool:
+        """Whether the likeliest inhomogeneity is the largest of several sizes."""
+        return len(self.inhomogeneities) > 1 and self.best[1].inhomogeneity == max(self.inhomogeneities)
+
     def inhomogeneous(self, size: float) -> Real:
         """The deviations (m, k) by inhomogeneity of a `size`, in units of the stated noise."""
         return size * np.column_stack([self.cosines, self.parts])
