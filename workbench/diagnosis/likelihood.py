@@ -188,8 +188,8 @@ class Explanation:
         """The reduced chi-square of every recording's residual after the parameters.
 
         Its covariance is that of the stated noise and of the likeliest inhomogeneity, r^T (1 + D D^T)^-1 r, so that its
-        expectation is 1 for an uneven device too. A size at the end of its range is that of no usual device: the
-        covariance is then that of the noise alone.
+        expectation is 1 for an uneven device too. If it is that of no usual device, the covariance is that of the noise
+        alone (:attr:`LocalProblem.is_unusually_uneven`).
         """
         local, states = self.local, self.weighting.states
         if local.is_unusually_uneven:

@@ -20,7 +20,7 @@ from scipy.special import logsumexp
 
 from workbench.campaign.state import data_rows
 from workbench.diagnosis.evidence import Average, LinearisedProblem, over_scales
-from workbench.diagnosis.odds import REGION_SIZES
+from workbench.diagnosis.odds import REGION_SIZES, UNUSUAL
 from workbench.diagnosis.weighting import Weighting
 from workbench.fitting.covariance import Covariance
 
@@ -109,8 +109,13 @@ class LocalProblem:
 
     @property
     def is_unusually_uneven(self) -> bool:
-        """Whether the likeliest inhomogeneity is the largest of several sizes."""
-        return len(self.inhomogeneities) > 1 and self.best[1].inhomogeneity == max(self.inhomogeneities)
+        """Whether the largest inhomogeneity is likelier than the next one, by odds of :data:`UNUSUAL`."""
+        _, scales, average = self.best
+        if len(self.inhomogeneities) < 2 or scales.inhomogeneity < self.inhomogeneities[-1]:
+            return False
+        next_one = self.inhomogeneities[-2]
+        smaller = self.problem.averaged(self.expanded(scales._replace(inhomogeneity=next_one)), average.noise)
+        return average.log_evidence - smaller.log_evidence > math.log(UNUSUAL)
 
     def inhomogeneous(self, size: float) -> Real:
         """The deviations (m, k) by inhomogeneity of a `size`, in units of the stated noise."""

@@ -12,6 +12,10 @@ from scipy.stats import chi2
 #: inhomogeneous than the last value.
 INHOMOGENEITIES = np.logspace(-4.0, -2.5, 7)
 
+#: Odds of the largest of these against the next one from which the residual is that of no usual device. Doubled, a cause
+#: outside the catalogue has to be a twentieth of a standard deviation larger.
+UNUSUAL = 20.0
+
 #: Relative sizes of unknown changes within a region, each as likely in every decade. Smaller ones are the usual
 #: inhomogeneity of parts, some tenths of a per cent.
 REGION_SIZES = np.logspace(-2.0, 0.0, 5)
