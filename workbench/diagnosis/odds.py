@@ -12,8 +12,8 @@ from scipy.stats import chi2
 #: inhomogeneous than the last value.
 INHOMOGENEITIES = np.logspace(-4.0, -2.5, 7)
 
-#: Odds of the largest of these against the next one from which the residual is that of no usual device. Doubled, a cause
-#: outside the catalogue has to be a twentieth of a standard deviation larger.
+#: Odds of the largest of these against the next one from which the residual is that of no usual device. Doubled, a
+#: cause outside the catalogue has to be a twentieth of a standard deviation larger.
 UNUSUAL = 20.0
 
 #: Relative sizes of unknown changes within a region, each as likely in every decade. Smaller ones are the usual
@@ -44,7 +44,7 @@ class Criteria:
             explanation that has the best one's parameters and redundant ones is no rival of it.
         level: share of the states of devices in which nothing is concealed that are within :meth:`limit`. A state
             beyond it is not explained.
-        fitted: factor on the limit of white noise for a fitted state, since real devices are not quite homogeneous.
+        fitted: factor on the limit of white noise for a fitted state, since models are not exact.
         held_out: the same for a predicted state.
         most: share of the stated mismatch that an effect has to explain to be named where a state is not explained. The
             residual is then a fifth of the mismatch in rms.
