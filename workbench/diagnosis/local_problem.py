@@ -109,7 +109,10 @@ class LocalProblem:
 
     @property
     def is_unusually_uneven(self) -> bool:
-        """Whether the largest inhomogeneity is likelier than the next one, by odds of :data:`UNUSUAL`."""
+        """Whether the largest inhomogeneity is likelier than the next one.
+
+        The least odds are :data:`UNUSUAL`.
+        """
         _, scales, average = self.best
         if len(self.inhomogeneities) < 2 or scales.inhomogeneity < self.inhomogeneities[-1]:
             return False
@@ -118,7 +121,10 @@ class LocalProblem:
         return average.log_evidence - smaller.log_evidence > math.log(UNUSUAL)
 
     def inhomogeneous(self, size: float) -> Real:
-        """The deviations (m, k) by inhomogeneity of a `size`, in units of the stated noise."""
+        """The deviations (m, k) by inhomogeneity of a `size`.
+
+        They are in units of the stated noise.
+        """
         return size * np.column_stack([self.cosines, self.parts])
 
     @property
