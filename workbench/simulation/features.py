@@ -72,9 +72,9 @@ def part_of(feature: Feature) -> RigidPart:
 
 
 def spectrum_with(
-    chip: Chip, posed: Problem, found: SolvedSpectrum, progress: Progress
+    chip: Chip, parts: Sequence[RigidPart], posed: Problem, found: SolvedSpectrum, progress: Progress
 ) -> tuple[SolvedSpectrum, tuple[str, ...]]:
-    """The spectrum with the features of the chip, and findings.
+    """The spectrum with the `parts` of the chip's features, and findings.
 
     Raises
     ------
@@ -82,7 +82,6 @@ def spectrum_with(
     """
     assert found.model is not None
     assert found.solution is not None
-    parts = [part_of(feature) for feature in chip.features]
     driven = [patch_forms(found.model.full, part.patch, 0).T @ (found.model.basis @ found.solution.states)
               for part in parts]
     between = compliance_of(posed, [part.patch for part in parts], np.array([part.angle for part in parts]),

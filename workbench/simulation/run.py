@@ -250,7 +250,8 @@ def simulate(
     frequencies = frequency_grid(band_of(chip, band), points)
     progress("mesh", 0.0)
     span, of_mesh, energy = (float(frequencies[0]), float(frequencies[-1])), None, None
-    radii = {radius for feature in chip.features for radius in part_of(feature).patch.radii}
+    parts = [part_of(feature) for feature in chip.features]
+    radii = {radius for part in parts for radius in part.patch.radii}
     problem = build(device, band=span, accuracy=accuracy, radii=sorted(radii), with_features=True)
     lap("mesh")
     system = System(assemble(problem.mesh, problem.terms), problem.values)
@@ -265,7 +266,7 @@ def simulate(
         lap("error of the mesh")
     more: tuple[str, ...] = ()
     if chip.features:
-        found, more = spectrum_with(chip, problem, found, progress)
+        found, more = spectrum_with(chip, parts, problem, found, progress)
         lap("features")
     on_spectrum(spectrum := _spectrum_of(found, device, of_mesh))
     merit, reason = measured_figures(spectrum, plate_of(chip, device.materials))
@@ -280,8 +281,7 @@ def simulate(
     lap("modes of the peaks")
     pattern = None
     if chip.features and device.is_wet:
-        pattern = cavity_pattern(shot.problem, shot.solution, [part_of(each) for each in chip.features], drive,
-                                 progress)
+        pattern = cavity_pattern(shot.problem, shot.solution, parts, drive, progress)
         more = (*more, str(pattern))
         lap("pattern around the axis")
     left_out = tuple(map(float, np.setdiff1d(frequencies, found.frequency)))
