@@ -67,7 +67,8 @@ QUICK = r"(?:0[12345689]|14|19)_\w+\.py"
 
 sphinx_gallery_conf = {
     "examples_dirs": str(ROOT / "examples"), "gallery_dirs": "gallery", "filename_pattern": QUICK,
-    "ignore_pattern": r"(^|/)paper_chip\.py$", "image_scrapers": ("gallery_pictures.written",), "reset_modules": (),
+    "ignore_pattern": r"(^|/)(paper_chip|simulated_bench)\.py$",
+    "image_scrapers": ("gallery_pictures.written",), "reset_modules": (),
     "within_subsection_order": "FileNameSortKey", "capture_repr": (), "show_signature": False,
     "download_all_examples": False, "min_reported_time": 1e9, "backreferences_dir": None,
     "remove_config_comments": True, "nested_sections": False, "write_computation_times": False,

@@ -28,8 +28,8 @@ PROGRAMS = dict(programs())
 GALLERY = {path.stem: path.read_text(encoding="utf-8") for path in SHORT}
 #: What an example may import beside `workbench`: the standard library and numpy.
 PLAIN = {"dataclasses", "numpy", "pathlib", "tempfile", "workbench"}
-#: Examples that look inside: this one switches single losses of one reduced model off and asks it for their power.
-INNER = {"12_missing_loss"}
+#: Lines of any example, those with stages of hours included.
+MOST_LINES = 120
 #: Pictures that an example leaves below ``out``.
 DRAWN = {
     "01_first_spectrum": {"first_spectrum.png"}, "02_cavity_height": {"cavity_height.png"},
@@ -86,8 +86,13 @@ def used_of_workbench(tree: ast.AST) -> set[str]:
 def test_an_example_uses_public_names_alone(path: Path) -> None:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     inner = {name for name in imported(tree) if name.startswith(("workbench.", "geometry.", "materials."))}
-    assert bool(inner) == (path.stem in INNER), inner
+    assert not inner
     assert used_of_workbench(tree) - {"__file__"} <= set(wb.PUBLIC)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.stem)
+def test_an_example_can_be_read_in_one_sitting(path: Path) -> None:
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= MOST_LINES
 
 
 @pytest.mark.parametrize("path", SHORT, ids=lambda path: path.stem)
