@@ -33,8 +33,9 @@ NAME = "acoustofluidic-chip-workbench"
 LEFT_OUT = shutil.ignore_patterns("site-packages", "test", "idlelib", "config-*", "__pycache__")
 #: The folder of shared libraries.
 LIBRARIES = Path("/usr/lib/x86_64-linux-gnu")
-#: Libraries that wheels may expect of any Linux with Python (the policy "manylinux"); apt of Debian needs both itself.
-EXPECTED = ("libstdc++.so.6", "libgcc_s.so.1")
+#: Libraries that wheels may expect of any Linux (the policy "manylinux"): the parts of glibc, and those of GCC.
+EXPECTED = ("libstdc++.so.6", "libgcc_s.so.1", "libpthread.so.0", "libdl.so.2", "librt.so.1", "libutil.so.1",
+            "libresolv.so.2")
 #: Libraries that the EGL of Debian loads without being linked to them.
 LOADED = ("libEGL_mesa.so.0", "libGLX_mesa.so.0", "dri/swrast_dri.so", "dri/kms_swrast_dri.so")
 ENVIRONMENT = {"PATH": "/venv/bin:/usr/bin", "HOME": "/home", "LANG": "C.UTF-8", "OPENBLAS_NUM_THREADS": "1",
