@@ -18,6 +18,7 @@ import argparse
 import json
 import os
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -98,13 +99,14 @@ def fit() -> Steps:
 
 def study() -> Steps:
     """1024 chips with two lids."""
-    from dataclasses import replace
-
     import workbench as wb
 
-    plan = wb.read_study(EXAMPLES / "small_study/study.toml")
-    with tempfile.TemporaryDirectory() as folder:
-        wb.study(replace(plan, sample=replace(plan.sample, points=1024)), Path(folder) / "study")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        shutil.copytree(EXAMPLES / "small_study", folder, dirs_exist_ok=True)
+        text = (folder / "study.toml").read_text(encoding="utf-8").replace("points = 64", "points = 1024")
+        (folder / "study.toml").write_text(text, encoding="utf-8")
+        wb.study(wb.read_study(folder / "study.toml"), folder / "out")
     return {}
 
 
@@ -173,7 +175,7 @@ def smallest(name: str, repeat: int, planted: float = 0.0) -> dict[str, float]:
     found: dict[str, float] = {}
     for _ in range(repeat):
         done = subprocess.run(
-            [sys.executable, __file__, "stage", name, "--planted", str(planted)], capture_output=True, text=True,
+            [sys.executable, __file__, "stage", name, "--planted", str(planted)], stdout=subprocess.PIPE, text=True,
             check=True, env=os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"})
         one = json.loads(done.stdout.splitlines()[-1])
         found = {figure: min(value, found.get(figure, value)) for figure, value in one.items()}
