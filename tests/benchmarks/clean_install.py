@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import resource
 import shutil
 import subprocess
 import sys
@@ -59,13 +60,20 @@ WHOLE = (
 )
 
 
+def processor() -> float:
+    """Processor time (s) of this process and its ended children."""
+    return sum(use.ru_utime + use.ru_stime for use in map(resource.getrusage, (
+        resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)))
+
+
 @contextmanager
 def timed(name: str, kept: Measurements) -> Iterator[None]:
-    """Print and keep the wall-clock seconds of a block."""
-    began = time.perf_counter()
+    """Print and keep the seconds of a block, by the clock and of the processor."""
+    clock, own = time.perf_counter(), processor()
     yield
-    kept.add(name, time.perf_counter() - began, "s")
-    print(f"{name}: {kept.figures[name]['value']:.1f} s", flush=True)
+    kept.add(name, time.perf_counter() - clock, "s")
+    kept.add(f"{name}, processor", processor() - own, "s")
+    print(f"{name}: {time.perf_counter() - clock:.1f} s, {processor() - own:.1f} s of the processor", flush=True)
 
 
 def gather(wheels: Path) -> None:
@@ -135,15 +143,13 @@ def tried(root: Path, commands: Sequence[tuple[str, int, str]], kept: Measuremen
     """Run commands; returns the number of those that end with another status or do not print their words."""
     wrong = 0
     for command, status, words in commands:
-        began = time.perf_counter()
-        done = inside(root, command.split())
+        with timed(command, kept):
+            done = inside(root, command.split())
         is_right = done.returncode == status and words in done.stdout
         wrong += not is_right
-        kept.add(command, time.perf_counter() - began, "s")
-        seconds = kept.figures[command]["value"]
-        print(f"{'as expected' if is_right else 'WRONG':12} {seconds:6.1f} s  {command}", flush=True)
         if not is_right or status:
-            print(f"  status {done.returncode}:", *done.stdout.strip().splitlines()[-12:], sep="\n  ", flush=True)
+            print(f"  {'as expected' if is_right else 'WRONG'}: status {done.returncode}",
+                  *done.stdout.strip().splitlines()[-12:], sep="\n  ", flush=True)
     return wrong
 
 
