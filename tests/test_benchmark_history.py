@@ -27,9 +27,9 @@ def test_every_stage_has_a_stored_baseline(capsys: pytest.CaptureFixture[str]) -
     for file in BASELINES:
         stored = json.loads(file.read_text(encoding="utf-8"))["figures"]
         assert {name for name in stored if ":" not in name} == {
-            *history.STAGES, *(f"{name}, memory" for name in history.STAGES)}
+            *history.STAGES, *(f"{name}, memory" for name in history.STAGES if name != "import")}
     lines = history.table(BASELINES)
-    assert len(lines) > 2 * len(history.STAGES)
+    assert len(lines) >= 2 * len(history.STAGES)
     assert len({line.count("|") for line in lines}) == 1
 
 
