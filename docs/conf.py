@@ -61,13 +61,14 @@ napoleon_google_docstring, napoleon_numpy_docstring = True, False
 # A type is named as the code names it; not every one has a page here.
 suppress_warnings = ["ref.python"]
 
-#: Examples that are run for their page; the diagnosis and those from 10 to 13 and from 16 to 18 are shown and not run.
-QUICK = r"(?:0[12345689]|14|19)_\w+\.py"
+#: Examples that are run for their page; the diagnosis and those from 10 to 13, 16 to 18 and 20 are only shown.
+QUICK = r"(?:0[12345689]|14|19|21)_\w+\.py"
 
 
 sphinx_gallery_conf = {
     "examples_dirs": str(ROOT / "examples"), "gallery_dirs": "gallery", "filename_pattern": QUICK,
-    "ignore_pattern": r"(^|/)paper_chip\.py$", "image_scrapers": ("gallery_pictures.written",), "reset_modules": (),
+    "ignore_pattern": r"(^|/)(paper_chip|simulated_bench)\.py$",
+    "image_scrapers": ("gallery_pictures.written",), "reset_modules": (),
     "within_subsection_order": "FileNameSortKey", "capture_repr": (), "show_signature": False,
     "download_all_examples": False, "min_reported_time": 1e9, "backreferences_dir": None,
     "remove_config_comments": True, "nested_sections": False, "write_computation_times": False,

@@ -21,12 +21,12 @@ field is 0.7 % weaker.
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import shutil
 from pathlib import Path
 
 import pandas
+from simulated_bench import Bench, measured_materials
 
 import workbench as wb
 
@@ -38,9 +38,8 @@ SEED = 7
 
 def robust_by_measurement(folder: Path) -> None:
     """All stages; everything they leave is below `folder`, which must not exist."""
-    whole_way = importlib.import_module("11_whole_way")
-    bench = whole_way.Bench(folder)
-    whole_way.measured_materials(bench)
+    bench = Bench(folder)
+    measured_materials(bench)
     for path in FILES.glob("*.toml"):
         shutil.copy(path, folder)
     for name in ("nominal", "robust"):

@@ -21,6 +21,7 @@ def cadquery_module() -> ModuleType:
     try:
         import cadquery
     except (ImportError, OSError) as error:
-        raise SolidError(f"solids need CadQuery and its system libraries (./setup installs both): {error}") from error
+        raise SolidError(f"solids need CadQuery and its system libraries (./setup installs both): {error}; "
+                         "simulate --no-cad leaves them out") from error
     module: ModuleType = cadquery
     return module

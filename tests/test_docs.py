@@ -293,3 +293,10 @@ def test_the_documentation_is_built_without_a_warning_and_opens_offline(tmp_path
         assert not re.search(r"<(?:script|link|img)[^>]*(?:src|href)=\"(?:https?:)?//", text), page.name
     api = (tmp_path / "html" / "api.html").read_text(encoding="utf-8")
     assert all(f'id="workbench.{name}"' in api for name in wb.PUBLIC)
+    # The build writes a notebook of every example. Those of the pages A and B have the code that the tests run.
+    for name in ("01_first_spectrum", "21_my_chip_my_recording"):
+        cells = json.loads((ROOT / f"docs/gallery/{name}.ipynb").read_text(encoding="utf-8"))["cells"]
+        code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+        example = ast.parse((ROOT / f"examples/{name}.py").read_text(encoding="utf-8"))
+        assert ast.dump(ast.parse(code)) == ast.dump(ast.Module(example.body[1:], []))
+        assert not any(cell.get("outputs") for cell in cells)

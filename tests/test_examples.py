@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from printed import ROOT, SHARED, programs, remembered
+from printed import ROOT, SHARED, blocks, programs, remembered
 
 import workbench as wb
 
@@ -28,8 +28,8 @@ PROGRAMS = dict(programs())
 GALLERY = {path.stem: path.read_text(encoding="utf-8") for path in SHORT}
 #: What an example may import beside `workbench`: the standard library and numpy.
 PLAIN = {"dataclasses", "numpy", "pathlib", "tempfile", "workbench"}
-#: Examples that look inside: this one switches single losses of one reduced model off and asks it for their power.
-INNER = {"12_missing_loss"}
+#: Lines of any example, those with stages of hours included.
+MOST_LINES = 120
 #: Pictures that an example leaves below ``out``.
 DRAWN = {
     "01_first_spectrum": {"first_spectrum.png"}, "02_cavity_height": {"cavity_height.png"},
@@ -40,7 +40,7 @@ DRAWN = {
     "15_tolerance": {"yield.png", "samples.png", "tornado.png"},
     "18_your_own_shape": {"mesh_filled.png", "pressure_filled.png"},
     "19_the_photograph": {f"above_{energy}_{seconds}s.png" for energy in (15, 45) for seconds in (5, 60, 300, 1800)},
-    "20_solder": {"solder.png"},
+    "20_solder": {"solder.png"}, "21_my_chip_my_recording": {"my_empty.png", "my_filled.png"},
 }
 #: Words of what an example prints: the number that its docstring states, as far as it is printed.
 SAID = {
@@ -54,15 +54,24 @@ SAID = {
     "09_bench_sweep": "f0 1.0332 MHz, the disc's own 1.0339 MHz",
     "15_tolerance": "f0 within 8 kHz: 51.4 % (48.3 to 54.5 %), linear estimate 79 %",
     "18_your_own_shape": "cavity 43.73 mm^3, f0 1.0298 MHz",
+    "21_my_chip_my_recording": "filled, 28 degC: |Z| differs by 0.39 % on average",
     "20_solder": "ln Z changes by up to 226 %",
     "19_the_photograph": "15 J/m^3, 1.45 Vpp: the liquid carries beads with 1.7 um/s rms; the chip warms by 4 K",
 }
+#: Pages with the output of a program: of an example that they include, or of their own blocks.
+PRINTED = {"01_first_spectrum": "first_hour", "21_my_chip_my_recording": "my_recording", "lab_week-7": "lab_week"}
+
+
+def pieces(program: str) -> list[str]:
+    """The printed output of a program on its page, in the pieces between dots of omission."""
+    return [piece.strip() for name, text in blocks("text") if name.rpartition("-")[0] == PRINTED.get(program)
+            for piece in text.split("...")]
 
 
 def test_there_is_an_example_for_every_number() -> None:
     assert [path.stem for path in SHORT] == sorted(DRAWN) == sorted(SAID)
     numbers = [path.name[:2] for path in sorted((ROOT / "examples").glob("[0-9]*.py"))]
-    assert numbers == [f"{k:02d}" for k in range(1, 21)]
+    assert numbers == [f"{k:02d}" for k in range(1, 22)]
 
 
 def imported(tree: ast.AST) -> set[str]:
@@ -86,8 +95,13 @@ def used_of_workbench(tree: ast.AST) -> set[str]:
 def test_an_example_uses_public_names_alone(path: Path) -> None:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     inner = {name for name in imported(tree) if name.startswith(("workbench.", "geometry.", "materials."))}
-    assert bool(inner) == (path.stem in INNER), inner
+    assert not inner
     assert used_of_workbench(tree) - {"__file__"} <= set(wb.PUBLIC)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.stem)
+def test_an_example_can_be_read_in_one_sitting(path: Path) -> None:
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= MOST_LINES
 
 
 @pytest.mark.parametrize("path", SHORT, ids=lambda path: path.stem)
@@ -138,13 +152,29 @@ def test_an_example_runs(
     name: str, run: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run(GALLERY[name])
-    assert SAID[name] in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert SAID[name] in printed
+    for piece in pieces(name):
+        assert piece in printed
     assert {picture.name for picture in (tmp_path / "out").rglob("*.png")} >= DRAWN[name]
 
 
 @pytest.mark.parametrize("name", marked(PROGRAMS))
-def test_python_that_is_printed_runs(name: str, run: Callable[[str], None]) -> None:
+def test_python_that_is_printed_runs(
+    name: str, run: Callable[[str], None], capsys: pytest.CaptureFixture[str]
+) -> None:
     run(PROGRAMS[name])
+    printed = capsys.readouterr().out
+    for piece in pieces(name):
+        assert piece in printed
+
+
+def test_pages_for_learning_show_output() -> None:
+    assert set(PRINTED) <= {*GALLERY, *PROGRAMS}
+    assert all(len(pieces(name)) > 1 for name in PRINTED)
+    for example, page in PRINTED.items():
+        text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+        assert example in PROGRAMS or f"literalinclude}} ../examples/{example}.py" in text
 
 
 def test_the_small_campaign_is_read() -> None:

@@ -27,9 +27,8 @@ _SPEC.loader.exec_module(example)
 
 def test_every_command_is_one_and_the_goals_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[tuple[str, ...]] = []
-    whole_way = importlib.import_module("11_whole_way")
-    monkeypatch.setattr(whole_way.Bench, "run", lambda bench, *command: given.append(command))
-    monkeypatch.setattr(whole_way.Bench, "measure", lambda bench, *held, **options: None)
+    monkeypatch.setattr(example.Bench, "run", lambda bench, *command: given.append(command))
+    monkeypatch.setattr(example.Bench, "measure", lambda bench, *held, **options: None)
     monkeypatch.setattr(example, "outcome", lambda folder: None)
     example.robust_by_measurement(tmp_path / "out")
     for command in given:

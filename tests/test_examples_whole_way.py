@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from simulated_bench import FILES, NOISE, Bench
 
 from geometry.chip import read_chip
 from materials.registry import Registry
@@ -29,12 +30,12 @@ def commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
     @contextmanager
     def served(bench: Any, *held: Any) -> Any:
-        given.append(("bench", "simulate", *held, *example.NOISE))
+        given.append(("bench", "simulate", *held, *NOISE))
         yield
 
-    monkeypatch.setattr(example.Bench, "_served", served)
-    monkeypatch.setattr(example.Bench, "run", lambda bench, *command: given.append(command))
-    monkeypatch.setattr(example.Bench, "has", lambda bench, command: command in COMMANDS)
+    monkeypatch.setattr(Bench, "_served", served)
+    monkeypatch.setattr(Bench, "run", lambda bench, *command: given.append(command))
+    monkeypatch.setattr(Bench, "has", lambda bench, command: command in COMMANDS)
     monkeypatch.setattr(example, "outcome", lambda folder: None)
     example.whole_way(tmp_path / "out")
     return tmp_path / "out", given
@@ -70,7 +71,7 @@ def test_the_files_are_read_and_the_gel_is_not_what_they_say(commands: Any) -> N
 
 
 def test_the_truth_is_not_what_the_fits_begin_with() -> None:
-    registry = Registry((example.FILES / "truth",))
+    registry = Registry((FILES / "truth",))
     for true, start, free in (("pzt_bench/disc", "pzt4/comsol_nominal", TRANSDUCER_TEN),
                               ("pla_bench/print", "pla/acevedo_2026", POLYMER_FOUR)):
         values, begun = registry.load(true).parameters(), registry.load(start).parameters()
@@ -84,7 +85,7 @@ def test_the_truth_is_not_what_the_fits_begin_with() -> None:
 
 
 def test_the_outcome_tells_what_lies_outside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "truth").symlink_to(example.FILES / "truth")
+    (tmp_path / "truth").symlink_to(FILES / "truth")
     entries = {"fit_disc": [("pzt4/comsol_nominal.c33", 119.2e9, 119.0e9, 119.4e9),
                             ("pzt4/comsol_nominal.c33.loss", -0.50e9, -0.55e9, -0.45e9)],
                "fit_sample": [("pla/acevedo_2026.shear_modulus", 1.00e9, 0.99e9, 1.02e9),

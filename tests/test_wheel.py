@@ -1,4 +1,4 @@
-"""The wheel holds the product: chips, materials and templates, and runs outside the checkout."""
+"""The wheel holds chips, materials and templates, and runs outside the checkout; the source archive holds the rest."""
 
 from __future__ import annotations
 
@@ -57,3 +57,14 @@ def test_the_wheel_runs_outside_the_checkout(unpacked: Path, tmp_path: Path) -> 
                           capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert str(unpacked) in done.stdout
+
+
+def test_the_source_archive_holds_every_file_of_the_checkout() -> None:
+    done = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip("no checkout: the files of a source archive are not under git")
+    named = {word for line in (ROOT / "MANIFEST.in").read_text(encoding="utf-8").splitlines()
+             if line.startswith(("graft", "include")) for word in line.split()[1:]}
+    tops = {name.split("/")[0] for name in done.stdout.splitlines()}
+    # Packages, and the file of the build, are in every archive; .ci is of one forge.
+    assert tops - {"workbench", "geometry", "materials", "pyproject.toml", "MANIFEST.in", ".ci"} == named

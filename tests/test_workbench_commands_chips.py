@@ -23,8 +23,9 @@ def test_a_copy_is_the_same_chip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert main(["chips", "copy", "reference_chip", "-o", str(tmp_path / "mine.toml")]) == 0
     (tmp_path / "folder").mkdir()
     assert main(["chips", "copy", "glass_channel", "-o", "folder"]) == 0
+    assert main(["chips", "copy", "glass_channel", "-o", "new/folder/channel.toml"]) == 0
     for name, file in (("glass_channel", "glass_channel.toml"), ("reference_chip", "mine.toml"),
-                       ("glass_channel", "folder/glass_channel.toml")):
+                       ("glass_channel", "folder/glass_channel.toml"), ("glass_channel", "new/folder/channel.toml")):
         assert read_chip(tmp_path / file).layers == read_chip(SHIPPED / f"{name}.toml").layers
 
 
@@ -33,5 +34,8 @@ def test_a_file_stays_and_a_wrong_name_is_answered(tmp_path: Path, capsys: pytes
     mine.write_text("mine", encoding="utf-8")
     assert main(["chips", "copy", "glass_channel", "-o", str(mine)]) == 2
     assert mine.read_text(encoding="utf-8") == "mine"
+    assert main(["chips", "copy", "glass_channel", "-o", str(mine / "folder" / "x.toml")]) == 2
+    assert "-o: received" in (message := capsys.readouterr().err)
+    assert "expected a file that can be written; a file is in the way" in " ".join(message.split())
     assert main(["chips", "copy", "glas_channel"]) == 2
     assert "glass_channel" in capsys.readouterr().err

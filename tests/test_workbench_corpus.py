@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from concealed import scoring
+from concealed import commitment, scoring
 from concealed.mechanisms import CATALOGUED, MECHANISMS, OUTSIDE
 from concealed.tasks import TRUTH, diagnose_one
 
@@ -23,6 +23,9 @@ from workbench.campaign.campaign import read_campaign
 CORPUS = Path(__file__).parent / "corpus"
 TRIALS = sorted(path.parent for path in CORPUS.glob("*/campaign.toml"))
 TRUTHS: dict[str, dict[str, Any]] = json.loads((CORPUS / TRUTH).read_text(encoding="utf-8"))
+
+#: Trials whose truth is not published; each has a salted hash of it.
+UNLABELLED = CORPUS / "unlabelled"
 
 #: Trials that are diagnosed here, with nothing, an effect below detection and a detectable one: states kept (all five
 #: or six take up to four minutes), verdict, effects named, and largest reduced chi-square of the held-out state. They
@@ -45,9 +48,41 @@ def test_every_trial_has_a_truth_and_a_part() -> None:
 
 def test_folders_tell_nothing_but_by_their_recordings() -> None:
     words = {*MECHANISMS, "seed", "truth", "conceal"} - {"none"}
-    for path in CORPUS.glob("*/*.toml"):
+    for path in [*CORPUS.glob("*/*.toml"), *UNLABELLED.glob("*/*.toml")]:
         text = path.read_text(encoding="utf-8")
         assert not any(word in text for word in words), path
+
+
+def test_unlabelled_trials_have_hashes_and_no_truth() -> None:
+    hashes = json.loads((UNLABELLED / commitment.HASHES).read_text(encoding="utf-8"))
+    assert sorted(hashes) == sorted(path.parent.name for path in UNLABELLED.glob("*/campaign.toml"))
+    assert all(re.fullmatch("[0-9a-f]{64}", each) for each in hashes.values())
+    assert len(hashes) >= 6
+    assert not hashes.keys() & TRUTHS.keys()
+    assert not (UNLABELLED / TRUTH).exists()
+    assert sum(path.stat().st_size for path in UNLABELLED.rglob("*") if path.is_file()) < 5e5
+    for name in hashes:
+        campaign = read_campaign(UNLABELLED / name / "campaign.toml")
+        assert [state.name for state in campaign.held_out] == ["filled_again"]
+
+
+def test_a_sealed_truth_is_checked_entry_by_entry(tmp_path: Path) -> None:
+    folder, truth = tmp_path / "new", tmp_path / "kept.json"
+    folder.mkdir()
+    shown = {name: TRUTHS[name] for name in ("0012", "0013")}
+    (folder / TRUTH).write_text(json.dumps(shown), encoding="utf-8")
+    commitment.seal(folder, truth)
+    assert not (folder / TRUTH).exists()
+    assert commitment.contradictions(folder, truth) == []
+    entries = json.loads(truth.read_text(encoding="utf-8"))
+    assert len({entry.pop("salt") for entry in entries.values()}) == 2
+    assert entries == shown
+    with pytest.raises(FileExistsError, match="other salts"):
+        commitment.seal(folder, truth)
+    changed = json.loads(truth.read_text(encoding="utf-8"))
+    changed["0013"]["mechanism"] = ["lid_bow"]
+    truth.write_text(json.dumps({"0013": changed["0013"]}), encoding="utf-8")
+    assert commitment.contradictions(folder, truth) == ["0012", "0013"]
 
 
 @pytest.mark.parametrize("trial", TRIALS[::15], ids=lambda trial: trial.name)

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
     from workbench.jobs.interruption import Interruption
 
+#: Packages of this program. If one of their modules cannot be imported, the program has a defect.
+OWN = {"workbench", "geometry", "materials"}
+REPAIR = "install it by ./setup or pip; `workbench doctor` lists all faults of the installation"
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status.
@@ -149,6 +153,10 @@ def _run(command: ModuleType, options: argparse.Namespace, console: Console, int
                     return 2
                 case OSError():
                     _complain(console, "error", remedy(error, output) + kept)
+                    return 1
+                case ImportError() if (error.name or "").partition(".")[0] not in {*OWN, *sys.stdlib_module_names, ""}:
+                    package = str(error.name).partition(".")[0]
+                    _complain(console, "error", f"the package {package} cannot be loaded: {error}; {REPAIR}{kept}")
                     return 1
                 case RuntimeError() | ModelError():
                     # Not a defect of the program: its own errors are RuntimeErrors or a ModelError.

@@ -4,6 +4,8 @@
     .venv/bin/python tests/benchmarks/trials.py score FOLDER/COMMIT --truth tests/corpus/truth.json [--csv OUTCOMES.csv]
     .venv/bin/python tests/benchmarks/trials.py table OUTCOMES.csv
     .venv/bin/python tests/benchmarks/trials.py make NEW [--seed 1] [--first 0] [--trials 75] [--part fresh]
+    .venv/bin/python tests/benchmarks/trials.py seal NEW --truth ELSEWHERE/truth.json
+    .venv/bin/python tests/benchmarks/trials.py check tests/corpus/unlabelled --truth truth.json
 
 `run` puts the program as it is at a commit into FOLDER/COMMIT/program and diagnoses from there, so that the checkout
 may change meanwhile, into FOLDER/COMMIT/NNNN.json; it never opens the truth. Each trial has a process of its own with
@@ -17,6 +19,9 @@ tests/corpus holds the trials, tests/data/trials the outcomes of docs/validation
 
 `make` makes new trials. A round is 75 in random order: every mechanism of the catalogue once (41), nothing 13 times,
 mechanisms outside the catalogue 13 times, and 8 pairs of mechanisms of the catalogue.
+
+`seal` moves the truth of new trials to a file that is not published, and leaves salted hashes; `check` compares the
+truth, once it is published, with these hashes.
 """
 
 from __future__ import annotations
@@ -40,6 +45,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
 
+from concealed.commitment import contradictions, seal  # noqa: E402
 from concealed.mechanisms import CATALOGUED, CLASHING, NONE, OUTSIDE  # noqa: E402
 from concealed.scoring import read_outcomes, score, table  # noqa: E402
 from concealed.tasks import diagnose_into, diagnose_one, failed, make_one, write_outcome  # noqa: E402
@@ -151,21 +157,21 @@ def _stop(number: int, _frame: object) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("job", choices=("make", "run", "diagnose", "score", "table"))
+    parser.add_argument("job", choices=("make", "run", "diagnose", "score", "table", "seal", "check"))
     parser.add_argument("path", type=Path, help="folder of trials; for `score` of outcomes; for `table` a file of them")
     parser.add_argument("--into", type=Path, help="folder of outcomes")
     parser.add_argument("--commit", default="HEAD", help="that `run` tries")
     parser.add_argument("--only", nargs="*", default=[], metavar="NNNN", help="trials to diagnose (default: all)")
     parser.add_argument("--minutes", type=float, default=DIAGNOSING, help="that a diagnosis may take")
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
-    parser.add_argument("--truth", type=Path, help="what is concealed, for `score`")
+    parser.add_argument("--truth", type=Path, help="what is concealed, for `score`, `seal` and `check`")
     parser.add_argument("--csv", type=Path, help="file of outcomes that `score` writes")
     parser.add_argument("--trials", type=int, default=75, help="how many to make")
     parser.add_argument("--first", type=int, default=0, help="number of the first to make")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--part", default="", help="word that is kept with the truth: tables tell parts apart")
     options = parser.parse_args()
-    for job, name in (("run", "into"), ("diagnose", "into"), ("score", "truth")):
+    for job, name in (("run", "into"), ("diagnose", "into"), *((job, "truth") for job in ("score", "seal", "check"))):
         if options.job == job and getattr(options, name) is None:
             parser.error(f"{job} needs --{name}")
     check_jobs(options.jobs, source="command line", field="--jobs")
@@ -184,6 +190,12 @@ def main() -> None:
             diagnose_all(options.path, options.into, only=options.only, jobs=options.jobs, minutes=options.minutes)
         case "score":
             score(options.path, options.truth, options.csv)
+        case "seal":
+            seal(options.path, options.truth)
+        case "check":
+            if wrong := contradictions(options.path, options.truth):
+                raise SystemExit(f"{options.truth} contradicts the hashes of {', '.join(wrong)}")
+            print(f"{options.truth} has the hashes of {options.path}")
         case "table":
             table(read_outcomes(options.path))
 

@@ -103,7 +103,8 @@ def vtk_modules(*names: str) -> tuple[Any, ...]:
     try:
         return tuple(importlib.import_module(f"vtkmodules.{name}") for name in names)
     except ImportError as error:
-        raise RuntimeError("pictures of the chip in space need VTK (./setup installs it)") from error
+        raise RuntimeError(f"pictures of the chip in space need VTK and its system libraries (./setup installs both): "
+                           f"{error}; simulate --no-pictures leaves them out") from error
 
 
 def photograph(

@@ -1,16 +1,14 @@
-"""The arithmetic of examples/12_missing_loss.py, on a chip the size of a pea."""
+"""The arithmetic of tests/benchmarks/missing_loss.py on a small chip, and the example that shows it."""
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import math
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+import missing_loss
 import numpy as np
 import pytest
 from support import quadratic
@@ -28,40 +26,26 @@ from workbench.results.spectrum import Spectrum
 # What the paper's constants are warned of is told of in their own tests.
 pytestmark = pytest.mark.filterwarnings("ignore::materials.PassivityWarning")
 
-PATH = Path(__file__).resolve().parent.parent / "examples" / "12_missing_loss.py"
 FREQUENCIES = np.linspace(0.345e6, 0.373e6, 29)
 
 
 @pytest.fixture(scope="module")
-def example() -> Iterator[ModuleType]:
-    """The example; its name is no module's, so it is loaded by its path."""
-    spec = importlib.util.spec_from_file_location("example_missing_loss", PATH)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+def paper_chip() -> Chip:
+    return replace(read_chip(missing_loss.CHIP), ports=None)
 
 
 @pytest.fixture(scope="module")
-def paper_chip(example: ModuleType) -> Chip:
-    return replace(read_chip(example.CHIP), ports=None)
-
-
-@pytest.fixture(scope="module")
-def model(example: ModuleType, paper_chip: Chip) -> Any:
+def model(paper_chip: Chip) -> Any:
     """The paper's stack cut down to 3.5 mm: 3000 unknowns, one resonance of Q 64 in the band."""
     radii = {f"{region}.radius": 3.5e-3 for region in ("substrate", "sidewall", "bond", "superstrate")}
     pea = paper_chip.with_dimensions({"transducer.radius": 3e-3, "couplant.radius": 3e-3, "cavity.radius": 1.5e-3,
                                       **radii})
     problem = build(fill(pea, "filled", Registry()), band=(FREQUENCIES[0], FREQUENCIES[-1]), accuracy=quadratic(8.0))
-    return example.reduced(problem, FREQUENCIES)
+    return missing_loss.reduced(problem, FREQUENCIES)
 
 
-def test_the_gaps_are_those_of_table_5(example: ModuleType, paper_chip: Chip) -> None:
-    found = example.gaps(paper_chip)
+def test_the_gaps_are_those_of_table_5(paper_chip: Chip) -> None:
+    found = missing_loss.gaps(paper_chip)
     # 1/85.33 - 1/103.06 and 1/113.89 - 1/114.29, to the digits by hand.
     assert found.inverse_q["filled"] == pytest.approx(2.016e-3, abs=1e-6)
     assert found.inverse_q["empty"] == pytest.approx(3.07e-5, abs=1e-7)
@@ -77,8 +61,8 @@ def test_every_wall_of_the_cavity_has_both_layers(model: Any) -> None:
         assert {term.boundary for term in model.problem.terms if isinstance(term, kind)} == walls
 
 
-def test_switching_a_layer_off_agrees_with_full_solves_without_it(example: ModuleType, model: Any) -> None:
-    part = example.break_down(model).parts["viscous layer"]
+def test_switching_a_layer_off_agrees_with_full_solves_without_it(model: Any) -> None:
+    part = missing_loss.break_down(model).parts["viscous layer"]
     found = []
     without = {**model.problem.values, f"{model.problem.materials['cavity'].name}.shear_viscosity": 0j}
     operators = assemble(model.problem.mesh, model.problem.terms)
@@ -91,9 +75,9 @@ def test_switching_a_layer_off_agrees_with_full_solves_without_it(example: Modul
     assert part.inverse_q == pytest.approx(1.0 / found[0].q - 1.0 / found[1].q, rel=1e-2)
 
 
-def test_viscosity_damps_and_adds_mass(example: ModuleType, model: Any) -> None:
+def test_viscosity_damps_and_adds_mass(model: Any) -> None:
     # beta = (1 + i) delta / 2: loss and inertia of one size, df/f = -1/(2 Q) where a mode stands alone.
-    part = example.break_down(model).parts["viscous layer"]
+    part = missing_loss.break_down(model).parts["viscous layer"]
     assert part.inverse_q > 0.0
     assert part.dissipated > 0.0
     # The spectrum sees neighbouring resonances too, the dissipated power does not: a few per cent at Q 64.
@@ -101,30 +85,30 @@ def test_viscosity_damps_and_adds_mass(example: ModuleType, model: Any) -> None:
     assert part.f0 / FREQUENCIES.mean() == pytest.approx(-0.5 * part.dissipated, rel=0.15)
 
 
-def test_the_share_of_energy_predicts_what_a_lossy_fluid_does(example: ModuleType, model: Any) -> None:
-    found = example.break_down(model)
-    fluid = example.fluid_of(model.problem)
+def test_the_share_of_energy_predicts_what_a_lossy_fluid_does(model: Any) -> None:
+    found = missing_loss.break_down(model)
+    fluid = missing_loss.fluid_of(model.problem)
     tangent = 0.01
-    more = tangent / example.loss_tangent(fluid, found.figures.f0) * fluid.diffusivity_of_sound
+    more = tangent / missing_loss.loss_tangent(fluid, found.figures.f0) * fluid.diffusivity_of_sound
     lossy = model.figures({"diffusivity_of_sound": more})
     # As above, a few per cent between the two measures; and a loss a thousand times that of water is small still.
     assert 1.0 / lossy.q - 1.0 / found.figures.q == pytest.approx(found.fluid_share * tangent, rel=0.1)
     assert 0.01 < found.fluid_share < 0.1
 
 
-def test_loss_tangent_and_slip_against_hand_figures(example: ModuleType, paper_chip: Chip) -> None:
+def test_loss_tangent_and_slip_against_hand_figures(paper_chip: Chip) -> None:
     # Water at 25 degC: delta = 0.5259 um at 1.0274 MHz; the paper's chip: 0.9257 mm high (wall and bond), 3.068 mm.
     water = Fluid(name="water", density=997.0, sound_speed=1497.0, shear_viscosity=0.890e-3, bulk_viscosity=2.47e-3)
     expected = 0.5 * 0.5259e-6 * (2.0 / 0.9257e-3 + 2.0 / 3.068e-3)
-    assert example.uniform_slip(paper_chip, water, 1.0274e6) == pytest.approx(expected, rel=2e-4)
+    assert missing_loss.uniform_slip(paper_chip, water, 1.0274e6) == pytest.approx(expected, rel=2e-4)
     # w (4/3 eta + eta_b) / (rho c^2) = 6.455e6 * 3.657e-3 / 2.2343e9.
-    assert example.loss_tangent(water, 1.0274e6) == pytest.approx(1.0565e-5, rel=1e-3)
+    assert missing_loss.loss_tangent(water, 1.0274e6) == pytest.approx(1.0565e-5, rel=1e-3)
 
 
 @pytest.mark.parametrize("corner", [0.0, 0.5, 1.0])
-def test_drawn_chips_keep_what_is_printed(example: ModuleType, paper_chip: Chip, corner: float) -> None:
-    lengths = {name: low + corner * (high - low) for name, (low, high) in example.RANGES.items()}
-    made = example.chip_with(paper_chip, lengths)
+def test_drawn_chips_keep_what_is_printed(paper_chip: Chip, corner: float) -> None:
+    lengths = {name: low + corner * (high - low) for name, (low, high) in missing_loss.RANGES.items()}
+    made = missing_loss.chip_with(paper_chip, lengths)
     middle = made.layer("sidewall").z_bottom + 0.5 * sum(layer.thickness.value for layer in made.holes)
     assert middle == pytest.approx(3.25e-3 + lengths["node.offset"], abs=1e-12)
     assert made.transducer.thickness.value == 2.02e-3
@@ -133,6 +117,18 @@ def test_drawn_chips_keep_what_is_printed(example: ModuleType, paper_chip: Chip,
     assert made.dimensions()["cavity.radius"].value == lengths["cavity.radius"]
 
 
-def test_a_root_that_is_not_there_is_not_invented(example: ModuleType) -> None:
-    assert example.root(lambda x: x**2 - 0.25, 0.0, 1.0, 1e-9) == pytest.approx(0.5)
-    assert math.isnan(example.root(lambda x: x + 1.0, 0.0, 1.0, 1e-9))
+def test_a_root_that_is_not_there_is_not_invented() -> None:
+    assert missing_loss.root(lambda x: x**2 - 0.25, 0.0, 1.0, 1e-9) == pytest.approx(0.5)
+    assert math.isnan(missing_loss.root(lambda x: x + 1.0, 0.0, 1.0, 1e-9))
+
+
+@pytest.mark.slow
+def test_the_example_prints_the_figures_of_the_chip_file(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["12_missing_loss.py", "--draws", "1"])
+    importlib.import_module("12_missing_loss").main()
+    printed = capsys.readouterr().out
+    assert "missing, filled: 1/Q 2.02e-03" in printed
+    assert "1/Q +6.1e-06 in the spectrum, 5.2e-06 by power, 0.3 % of the missing loss; f0 -0.37 Hz" in printed
+    assert "of 1 drawn chips" in printed or "no resonance" in printed
