@@ -291,3 +291,15 @@ def test_resonances_of_a_measured_disc(shared: Path) -> None:
     assert peak.resistance.value == pytest.approx(5.905, rel=0.15)
     assert peak.inductance.value == pytest.approx(151.99e-6, rel=0.2)
     assert len(found.resonances) >= 3
+
+
+def test_the_peaks_are_a_start_where_modes_beyond_the_band_are_missing() -> None:
+    """Modes below and above this band move the branches of a plain circuit to a local optimum."""
+    chip = wb.read_chip(Path(wb.__file__).parent.parent / "geometry" / "chips" / "silicon_glass_channel.toml")
+    run = wb.simulate(chip, accuracy=2e-2, points=241)
+    fit = wb.fit_resonances(run.spectrum)
+    assert fit.rms_residual < 0.03
+    named = np.array([peak.mode.frequency for peak in run.peak_modes if peak.share is not None and peak.share > 0.9])
+    found = np.array([each.frequency.value for each in fit.resonances])
+    # Each strong mode is a resonance of the circuit, within a tenth of a per cent.
+    assert np.abs(named[:, None] / found - 1.0).min(axis=1).max() < 1e-3

@@ -179,9 +179,11 @@ def _with_surroundings(start: BranchCircuit) -> BranchCircuit:
     low, high = map(float, start.spectrum.frequency[[0, -1]])
     width, band = float(np.median(plain.bandwidths)), high - low
     reach = min(width, 0.5 * band, 0.25 * low)
-    wide = plain.with_branch(low - reach, width).with_branch(high + reach, width)
-    wide = _attempt(replace(wide, branches=np.roll(wide.branches, 2, axis=0), has_losses=True,
-                            beyond=((max(low - band, 0.5 * low), low), (high, high + band))))
+    ends = (max(low - band, 0.5 * low), low), (high, high + band)
+    # The plain circuit moves its branches where modes beyond the band are missing, so that the peaks are a start too.
+    wides = [each.with_branch(low - reach, width).with_branch(high + reach, width) for each in (plain, start)]
+    wide = min((_attempt(replace(each, branches=np.roll(each.branches, 2, axis=0), has_losses=True, beyond=ends))
+                for each in wides), key=lambda each: each.variance)
     if wide.variance <= LARGEST_RATIO * plain.variance and math.isfinite(wide.squares):
         return wide
     return plain if math.isfinite(plain.squares) else plain.solved()
