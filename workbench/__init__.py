@@ -85,6 +85,8 @@ if TYPE_CHECKING:
     from workbench.results.spectrum import write_spectrum as write_spectrum
     from workbench.simulation.beads import trajectories as trajectories
     from workbench.simulation.channel import channel_figures as channel_figures
+    from workbench.simulation.dispersion import Dispersion as Dispersion
+    from workbench.simulation.dispersion import dispersion as dispersion
     from workbench.simulation.energy_comparison import EnergyComparison as EnergyComparison
     from workbench.simulation.energy_comparison import compare_energy as compare_energy
     from workbench.simulation.heating import LiquidWarming as LiquidWarming
@@ -114,6 +116,7 @@ PUBLIC = {
     "Design": "workbench.design.optimisation",
     "DesignModel": "workbench.design.model",
     "Diagnosis": "workbench.diagnosis.outcome",
+    "Dispersion": "workbench.simulation.dispersion",
     "EnergyComparison": "workbench.simulation.energy_comparison",
     "EnergyRecording": "workbench.results.energy_recording",
     "Evaluation": "workbench.design.evaluation",
@@ -152,6 +155,7 @@ PUBLIC = {
     "compare_energy": "workbench.simulation.energy_comparison",
     "design_model": "workbench.design.model",
     "diagnose": "workbench.diagnosis.appraisal",
+    "dispersion": "workbench.simulation.dispersion",
     "draw_from_above": "workbench.render.beads",
     "draw_spectra": "workbench.render.plots",
     "draw_state": "workbench.render.gallery",

@@ -169,6 +169,12 @@ def _modes(sub: argparse.ArgumentParser) -> None:
                      help='numbers of waves around the axis of a round chip, such as "0,1,2" (default 0)')
     sub.add_argument("--wavelengths", default="", metavar="LIST",
                      help='wavelengths along a straight chip, such as "5 mm,2 mm" (default: uniform modes alone)')
+    sub.add_argument("--dispersion", action="store_true", help="frequency over the wave number along a straight chip, "
+                     "with a picture (default: not)")
+    sub.add_argument("--shortest", metavar="LENGTH", help="shortest wavelength of --dispersion (default: of sound in "
+                     "the liquid, or of shear in the transducer, at the end of the band)")
+    sub.add_argument("--wave-numbers", type=int, metavar="N", help="wave numbers of --dispersion, beside those that "
+                     "are added between them (default 33)")
     sub.add_argument("--least-q", type=float, default=20.0, metavar="Q",
                      help="smallest quality factor of a mode (default 20)")
     sub.add_argument("--recording", type=Path, metavar="FILE", help="a recording of this state: its resonances beside "
