@@ -89,6 +89,8 @@ if TYPE_CHECKING:
     from workbench.simulation.dispersion import dispersion as dispersion
     from workbench.simulation.energy_comparison import EnergyComparison as EnergyComparison
     from workbench.simulation.energy_comparison import compare_energy as compare_energy
+    from workbench.simulation.finite_length import FiniteLength as FiniteLength
+    from workbench.simulation.finite_length import finite_length as finite_length
     from workbench.simulation.heating import LiquidWarming as LiquidWarming
     from workbench.simulation.heating import heating as heating
     from workbench.simulation.heating import liquid_warming as liquid_warming
@@ -122,6 +124,7 @@ PUBLIC = {
     "Evaluation": "workbench.design.evaluation",
     "Feature": "geometry.features",
     "Figures": "workbench.results.merit",
+    "FiniteLength": "workbench.simulation.finite_length",
     "FittedResonance": "workbench.results.circuit",
     "Goal": "workbench.design.goal",
     "Heating": "workbench.acoustics.heat",
@@ -161,6 +164,7 @@ PUBLIC = {
     "draw_state": "workbench.render.gallery",
     "draw_tolerance": "workbench.render.tolerances",
     "figures": "workbench.results.merit",
+    "finite_length": "workbench.simulation.finite_length",
     "fit": "workbench.fitting.recordings",
     "fit_circuit": "workbench.results.circuit",
     "fit_resonances": "workbench.results.resonances",

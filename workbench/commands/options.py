@@ -186,6 +186,16 @@ def _modes(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
+def _along(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    _with_model(sub)
+    sub.add_argument("--points", type=int, default=241, metavar="N", help="frequencies in the band (default 241)")
+    sub.add_argument("--at", metavar="FREQ", help="frequency of the energy along the channel (default: the three "
+                     "highest peaks of the energy)")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
 def _export(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("chip", type=Path, metavar="CHIP.toml")
     _with_scripts(sub)
@@ -528,6 +538,7 @@ COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = 
     "mesh": ("mesh a chip; with --converge the change of f0 and Z_min between refinements", _mesh),
     "export": ("write the solids of a chip as STEP and STL", _export),
     "modes": ("the modes of a chip, which are the peaks of its spectrum, with pictures", _modes),
+    "along": ("a straight chip between its ends: impedance, energy along the channel, where beads bunch", _along),
     "render": ("draw the fields of a chip at one frequency", _render),
     "particles": ("follow the particles of a chip: where they are after minutes, with pictures", _particles),
     "sensitivity": ("rank the constants of a transducer by their effect on its spectrum", _sensitivity),
