@@ -88,7 +88,9 @@ def run_modes(options: argparse.Namespace, console: Console) -> int:
 
 
 def _followed(options: argparse.Namespace) -> tuple[float | None, int] | None:
-    """Shortest wavelength (m), if stated, and number of wave numbers of ``--dispersion``; None without it.
+    """Shortest wavelength (m) and number of wave numbers of ``--dispersion``.
+
+    The wavelength is None if not stated, and both are without the option.
 
     Raises:
         InputError: one of them without ``--dispersion``, or outside its range.

@@ -51,8 +51,10 @@ def clamped_capacitance(operators: FullOperators, values: Values, frequency: flo
 
 
 def clamped_state(operators: FullOperators, values: Values, frequency: float) -> Real:
-    """The lossless state (size,) at 1 V with all displacements and pressures fixed at zero. The permittivity is that at
-    `frequency` (Hz)."""
+    """The lossless state (size,) at 1 V without displacements and pressures.
+
+    The permittivity is that at `frequency` (Hz).
+    """
     omega = np.array([2.0 * np.pi * frequency])
     electrode = operators.size - 1
     numbers = np.unique(operators.numbering["phi"])

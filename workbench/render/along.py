@@ -1,4 +1,4 @@
-"""Along a channel: waves by wave number, and the energy between the ends of a chip."""
+"""Along a channel: waves, and the energy between the ends."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _FLOOR = -40.0
 
 
 def draw_dispersion(found: Dispersion, path: Path) -> Path:
-    """Draw the branches, with the share of the energy in the liquid as colour.
+    """Draw f over k of the branches. Writes `path`.
 
-    Writes `path`.
+    The colour is the share of the energy in the liquid.
     """
     from matplotlib.collections import LineCollection
 
@@ -79,9 +79,9 @@ def draw_along(found: FiniteLength, profiles: Sequence[Profile], path: Path) -> 
 
 
 def draw_between_ends(found: FiniteLength, path: Path) -> Path:
-    """Draw |Z| and the mean energy per Vpp^2 of the chip and of the same without ends.
+    """Draw |Z| and the mean energy per Vpp^2. Writes `path`.
 
-    Writes `path`.
+    They are those of the chip, and of the same without ends.
     """
     figure = new_figure(8.0, 6.5)
     above, below = figure.subplots(2, 1, sharex=True)

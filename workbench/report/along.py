@@ -1,4 +1,4 @@
-"""The response of a chip between its ends as a table and a record."""
+"""A chip between its ends as a table and a record."""
 
 from __future__ import annotations
 
@@ -38,6 +38,9 @@ def along_record(found: FiniteLength, profiles: Sequence[Profile]) -> dict[str, 
 
 
 def _energies(found: FiniteLength, profile: Profile) -> tuple[float, float]:
-    """Mean energy densities in J/m^3 per Vpp^2 at the frequency of a profile, with and without ends."""
+    """Mean energy densities at the frequency of a profile.
+
+    They are in J/m^3 per Vpp^2, with and without ends.
+    """
     index = int(np.argmin(np.abs(found.frequency - profile.frequency)))
     return float(found.energy_density[index]) / 4.0, float(found.energy_without_ends[index]) / 4.0

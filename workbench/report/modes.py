@@ -26,7 +26,7 @@ def modes_record(found: ChipModes) -> dict[str, Any]:
 
 
 def dispersion_table(found: Dispersion) -> TextTable:
-    """Every branch with its ends, its fastest energy and its largest share in the liquid."""
+    """Every branch, its largest group velocity and share in the liquid."""
     return table(
         "k from (1/m) | to (1/m) | f from (MHz):.6f | to (MHz):.6f | least Q | largest group velocity (m/s) | "
         "liquid (%):.3g",

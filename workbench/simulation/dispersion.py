@@ -1,4 +1,4 @@
-"""The guided waves of a straight chip: frequency over the wave number along the channel.
+"""The guided waves of a straight chip: frequency over wave number.
 
 Fields have the factor cos(k y) or sin(k y) (`workbench.physics.orders`). The modes are solved at rising k, and those of
 two wave numbers are one branch if their states overlap in the mass M = -dA/dw / (2 w), of which modes of one k are
@@ -71,11 +71,11 @@ class Branch(Brief):
 
     @property
     def decay_length(self) -> Real:
-        """Lengths (n,) in m over which the amplitude of a wave falls by 1 / e."""
+        """Lengths (n,) in m of the decay of an amplitude by 1 / e."""
         return np.asarray(self.q * np.abs(self.group_velocity) / (np.pi * self.frequency))
 
     def curve(self, wave_number: Real) -> Real:
-        """Frequencies (m,) in Hz between the solved ones, from them and the group velocities."""
+        """Frequencies (m,) in Hz at any wave numbers (m,), by cubics."""
         spline = CubicHermiteSpline(self.wave_number, self.frequency, self.group_velocity / (2.0 * np.pi))
         return np.asarray(spline(wave_number))
 
@@ -87,9 +87,10 @@ class Branch(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Dispersion(Shown):
-    """The branches of a chip's ``state`` in a ``band`` (Hz), by their first wave number and frequency.
+    """The branches of a chip's ``state`` in a ``band`` (Hz).
 
-    They have at least the quality factor ``least_q``. The solved ``wave_numbers`` (n,) in 1/m are rising.
+    They are sorted by their first wave number and frequency, and have at least the quality factor ``least_q``. The
+    solved ``wave_numbers`` (n,) in 1/m are rising.
     """
 
     chip: Chip
@@ -162,8 +163,9 @@ def guided_waves(
     posed: Problem, band: tuple[float, float], wave_numbers: Real, *, least_q: float = LEAST_Q,
     progress: Progress = no_progress,
 ) -> tuple[Real, tuple[Branch, ...]]:
-    """The solved wave numbers (n,) in 1/m, and the branches of a straight model in a `band` (Hz).
+    """The waves along a straight model in a `band` (Hz).
 
+    Returns the solved wave numbers (n,) in 1/m, and the branches.
     `wave_numbers` (m,) in 1/m rise in equal steps; further ones are added where branches are unclear.
 
     Raises
@@ -201,7 +203,10 @@ class _Station:
 
 @dataclass(frozen=True, eq=False)
 class _Waves:
-    """The modes of a model by wave number, in a ``band`` (Hz) and of a quality factor above ``least_q``."""
+    """The modes of a model by wave number.
+
+    They are in a ``band`` (Hz), and have a quality factor above ``least_q``.
+    """
 
     posed: Problem
     operators: FullOperators
@@ -209,7 +214,7 @@ class _Waves:
     least_q: float
 
     def at(self, wave_number: float) -> _Station:
-        """The modes at a wave number (1/m), also a little beyond the band."""
+        """The modes at a wave number (1/m), also just beyond the band."""
         system = System(self.operators, {**self.posed.values, ORDER: wave_number})
         low, high = self.band
         beyond = MARGIN * (high - low)
@@ -253,14 +258,17 @@ def _followed(waves: _Waves, wave_numbers: Real, progress: Progress) -> tuple[li
 
 
 def _partners(before: _Station, after: _Station) -> dict[int, int]:
-    """The mode before each mode, by the largest total overlap; each is above :data:`LINKED`."""
+    """The mode before each mode, by the largest total overlap.
+
+    Each overlap is above :data:`LINKED`.
+    """
     overlaps = np.abs(before.images.T @ after.states)
     pairs = zip(*linear_sum_assignment(-overlaps), strict=True)
     return {int(j): int(i) for i, j in pairs if overlaps[i, j] >= LINKED}
 
 
 def _has_loose_ends(before: _Station, after: _Station, partners: dict[int, int], band: tuple[float, float]) -> bool:
-    """Whether a mode without a partner should have one within the band, by its slope."""
+    """Whether a mode lacks a partner that its slope predicts."""
     step = after.wave_number - before.wave_number
     for station, linked, way in ((before, partners.values(), step), (after, partners.keys(), -step)):
         loose = np.setdiff1d(np.arange(len(station.rows)), np.array(list(linked), dtype=int))
@@ -272,7 +280,10 @@ def _has_loose_ends(before: _Station, after: _Station, partners: dict[int, int],
 
 
 def _inside(rows: Real, band: tuple[float, float]) -> Iterator[Branch]:
-    """The parts of a branch (n, 5) within the band, of two wave numbers or more."""
+    """The parts of a branch (n, 5) within the band.
+
+    They have two wave numbers or more.
+    """
     within = (rows[:, 1] >= band[0]) & (rows[:, 1] <= band[1])
     ends = np.flatnonzero(np.diff(np.r_[False, within, False]))
     for first, last in ends.reshape(-1, 2):

@@ -66,7 +66,7 @@ class LengthNotConverged(RuntimeError):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Profile(Brief):
-    """The energy along the channel at a ``frequency`` (Hz), at 1 V amplitude.
+    """The energy along the channel at a ``frequency`` (Hz), at 1 V.
 
     ``place`` (m,) in m from the middle of the length, ``energy_density`` (m,) in J/m^3 the mean over the cavity's
     section there. ``spots`` (k,) in m are its maxima, where beads bunch.
@@ -132,13 +132,19 @@ class Cavity:
                    0.25 * energies, np.array([each == {"grad_p_s, turned"} for each in names]), volume)
 
     def mean(self, pressure: Complex, wave_number: float) -> Real:
-        """The mean energy density (n,) of fields `pressure` (rows, n) with one wave number."""
+        """The mean energy density (n,) of fields of one wave number.
+
+        The fields are `pressure` (rows, n).
+        """
         forms = np.array([np.sum(np.conj(pressure) * (matrix @ pressure), axis=0).real for matrix in self.matrices])
         factors = np.where(self.along, wave_number**2, 1.0)
         return np.asarray((self.coefficients.T * forms * factors[:, None]).sum(axis=0) / self.volume)
 
     def along_channel(self, index: int, pressure: Complex, wave_numbers: Real, place: Real) -> Real:
-        """The energy density (m,) at places (m,) of the sum of fields `pressure` (rows, N) at a frequency's index."""
+        """The energy density (m,) at places (m,) along the channel.
+
+        It is that of the sum of fields `pressure` (rows, N) of N wave numbers, at the index of a frequency.
+        """
         turns = np.outer(wave_numbers, place)
         result = np.zeros(place.size)
         for matrix, coefficient, is_along in zip(self.matrices, self.coefficients[index], self.along, strict=True):
@@ -150,9 +156,10 @@ class Cavity:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """The part of one wave number (1/m) at 1 V: ``charge`` (n,) in C, ``pressure`` (rows, n) in Pa, None without fluid.
+    """The part of one wave number (1/m) at 1 V.
 
-    ``energy`` (n,) in J/m^3 is its mean in the cavity.
+    ``charge`` (n,) in C, ``pressure`` (rows, n) in Pa, None without a fluid. ``energy`` (n,) in J/m^3 is
+    its mean in the cavity.
     """
 
     wave_number: float
@@ -163,7 +170,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FiniteLength(Shown):
-    """A straight chip of its length at 1 V amplitude, and the same without ends.
+    """A straight chip of its length at 1 V, and without ends.
 
     ``frequency`` (n,) in Hz; ``impedance`` and ``without_ends`` (n,) in ohm, e^{+j w t}; ``energy_density`` and
     ``energy_without_ends`` (n,) are means over the cavity in J/m^3, zero without a fluid. ``moved`` is the relative
@@ -196,7 +203,9 @@ class FiniteLength(Shown):
         return tuple(self.frequency[peaks_of(self.energy_density)].tolist()) if self.cavity is not None else ()
 
     def profile(self, frequency: float | None = None) -> Profile:
-        """The energy along the channel at the solved frequency (Hz) nearest to one, or at the highest peak.
+        """The energy along the channel near a frequency (Hz).
+
+        It is at the nearest solved frequency; without one, at the highest peak of the energy.
 
         Raises
         ------
@@ -216,7 +225,10 @@ class FiniteLength(Shown):
         return Profile(float(self.frequency[index]), place, density, place[spots])
 
     def energy_map(self) -> tuple[Real, Real]:
-        """Places (m,) in m along the channel, and the energy density (n, m) in J/m^3 there at all frequencies."""
+        """Places (m,) in m along the channel, and the energy density there.
+
+        It is (n, m) in J/m^3, at all frequencies.
+        """
         return self._places, np.array([self._density(index) for index in range(self.frequency.size)])
 
     @property
@@ -246,7 +258,9 @@ def finite_length(
     registry: Registry | None = None,
     progress: Progress = no_progress,
 ) -> FiniteLength:
-    """The response of a straight chip of the length in its file, between simply supported ends.
+    """The response of a straight chip between simply supported ends.
+
+    The length is that of its file.
 
     Parameters
     ----------
@@ -279,8 +293,10 @@ def finite_length(
 
 @dataclass(frozen=True, eq=False)
 class DrivenLength:
-    """The sum over wave numbers at 1 V; ``charge`` and ``charge_without_ends`` (n,) in C, the rest as in
-    :class:`FiniteLength`."""
+    """The sum over wave numbers at 1 V.
+
+    ``charge`` and ``charge_without_ends`` (n,) are in C; the rest is as in :class:`FiniteLength`.
+    """
 
     charge: Complex
     charge_without_ends: Complex
@@ -355,7 +371,7 @@ class DrivenSection:
         return np.asarray(-2.0 * (self.lift @ images) @ factors)
 
     def part(self, wave_number: float, factor: float) -> Part:
-        """The part of a wave number (1/m) that is driven by `factor` times the voltage."""
+        """The part of a wave number (1/m) at `factor` times 1 V."""
         system = System(self.operators, {**self.posed.values, ORDER: wave_number})
         laws, images = self._images(wave_number)
         loads = np.column_stack([images.real, images.imag])
@@ -371,7 +387,10 @@ class DrivenSection:
         return Part(wave_number, charge, pressure, self.cavity.mean(pressure, wave_number))
 
     def _images(self, wave_number: float) -> tuple[Complex, Complex]:
-        """Laws (g, n) of frequency and vectors (size, g), whose products sum to b."""
+        """Laws (g, n) of frequency and vectors (size, g).
+
+        Their products sum to b.
+        """
         omega, values = 2.0 * np.pi * self.frequencies, {**self.posed.values, ORDER: wave_number}
         groups = self.operators.coefficients.groups(omega, values)
         kept = np.array([not _slopes_along(each) for each in self.operators.integrals])
