@@ -55,7 +55,7 @@ def test_a_bar_has_the_charge_of_its_closed_form() -> None:
     exact = width * length / height * (VACUUM_PERMITTIVITY * PERMITTIVITY + E31**2 / STIFFNESS * np.tan(x) / x)
     assert np.abs(found.charge / exact - 1.0).max() < 1e-3
     clamped = VACUUM_PERMITTIVITY * PERMITTIVITY * width * length / height
-    assert found.charge_without_ends == pytest.approx(np.full(21, clamped), rel=1e-6)
+    assert found.charge_without_ends / clamped == pytest.approx(np.ones(21), rel=1e-6)
 
 
 def test_the_energy_along_a_rigid_channel() -> None:
@@ -66,13 +66,13 @@ def test_the_energy_along_a_rigid_channel() -> None:
     operators = assemble(posed.mesh, terms_of_order(rigid, is_first=False))
     frequency, k = 300e3, number * math.pi / length
     cavity = Cavity.of(operators, posed, np.array([frequency]))
-    assert cavity.volume == pytest.approx(2e-3 * 0.5e-3 * length)
+    assert cavity.volume == pytest.approx(2e-3 * 0.5e-3 * length, abs=0.0)
     place = np.linspace(-0.5 * length, 0.5 * length, 61)
     one = np.ones((cavity.rows.size, 1), dtype=complex)
     exact = 0.25 * (np.cos(k * place) ** 2 / (997.0 * 1482.0**2)
                     + (k * np.sin(k * place)) ** 2 / (997.0 * (2.0 * math.pi * frequency) ** 2))
-    assert cavity.along_channel(0, one, np.array([k]), place) == pytest.approx(exact, rel=1e-9)
-    assert cavity.mean(one, k) == pytest.approx(np.trapezoid(exact, place) / length, rel=1e-9)
+    assert cavity.along_channel(0, one, np.array([k]), place) == pytest.approx(exact, rel=1e-9, abs=0.0)
+    assert cavity.mean(one, k) == pytest.approx(np.trapezoid(exact, place) / length, rel=1e-9, abs=0.0)
 
 
 CHANNEL = """
@@ -114,7 +114,7 @@ def test_the_command_writes_energies_along_the_channel(
     assert profile["frequency_hz"] == pytest.approx(0.76e6)
     along = np.array(profile["energy_along_j_m3_per_vpp2"])
     assert np.trapezoid(along, profile["place_m"]) / 4e-3 == pytest.approx(profile["energy_j_m3_per_vpp2"], rel=1e-3)
-    assert along == pytest.approx(along[::-1])
+    assert along == pytest.approx(along[::-1], abs=0.0)
     run = wb.simulate(wb.read_chip(channel), "filled", points=21, accuracy=2e-2, warm=None, relative_error=1e-5)
     without = record["impedance_without_ends_ohm"]
     assert np.array(without["real"]) + 1j * np.array(without["imaginary"]) == pytest.approx(

@@ -71,7 +71,7 @@ class Branch(Brief):
 
     @property
     def decay_length(self) -> Real:
-        """Lengths (n,) in m of the decay of an amplitude by 1 / e."""
+        """Lengths (n,) in m over which waves decay by 1 / e."""
         return np.asarray(self.q * np.abs(self.group_velocity) / (np.pi * self.frequency))
 
     def curve(self, wave_number: Real) -> Real:

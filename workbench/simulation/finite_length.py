@@ -149,8 +149,8 @@ class Cavity:
         result = np.zeros(place.size)
         for matrix, coefficient, is_along in zip(self.matrices, self.coefficients[index], self.along, strict=True):
             shape = wave_numbers[:, None] * np.sin(turns) if is_along else np.cos(turns)
-            field_there = pressure @ shape
-            result += 2.0 * coefficient * np.sum(np.conj(field_there) * (matrix @ field_there), axis=0).real
+            gram = (np.conj(pressure).T @ (matrix @ pressure)).real
+            result += 2.0 * coefficient * np.sum(shape * (gram @ shape), axis=0)
         return result / self.volume
 
 
