@@ -77,12 +77,24 @@ def test_a_rigid_channel() -> None:
         assert np.abs(errors).max() < 1e-6
 
 
+def strip(width: float, height: float) -> Problem:
+    """A strip on rollers at four sides."""
+    posed = rectangles([("transducer", 0.0, width, 0.0, height)], {"transducer": METAL},
+                       Straight(1.0, Parity.EVEN, Parity.EVEN), 0.2e-3)
+    return posed.with_terms((Held("u_z", "electrode_live"), Held("u_z", "electrode_ground")), {})
+
+
+def test_a_wave_that_begins_at_some_wave_number() -> None:
+    solved, (branch,) = guided_waves(strip(1e-3, 0.2e-3), (1.1e6, 1.5e6), np.linspace(0.0, 1600.0, 9))
+    assert solved[0] == 0.0
+    assert branch.wave_number == pytest.approx([1200.0, 1400.0])
+    assert not branch.is_uniform
+
+
 def test_branches_of_a_strip_cross() -> None:
     """A strip on rollers at four sides has plane waves: one of shear, and one of pressure along y, which cross."""
     width, height = 1e-3, 0.2e-3
-    posed = rectangles([("transducer", 0.0, width, 0.0, height)], {"transducer": METAL},
-                       Straight(1.0, Parity.EVEN, Parity.EVEN), 0.2e-3)
-    posed = posed.with_terms((Held("u_z", "electrode_live"), Held("u_z", "electrode_ground")), {})
+    posed = strip(width, height)
     _, branches = guided_waves(posed, (1.4e6, 2.8e6), np.linspace(0.0, 3200.0, 9))
     shear, pressure = branches
     assert shear.is_uniform

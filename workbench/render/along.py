@@ -55,7 +55,8 @@ def draw_along(found: FiniteLength, profiles: Sequence[Profile], path: Path) -> 
     A profile is over its mean, with marks at its maxima. Writes `path`.
     """
     place, density = found.energy_map()
-    figure = new_figure(9.0, 8.0)
+    figure = new_figure(9.0, 7.5)
+    figure.set_layout_engine("constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     level = 10.0 * np.log10(density / density.max())
     shown = above.pcolormesh(1e3 * place, found.frequency / 1e6, level, cmap=PLAIN_COLOURS, vmin=_FLOOR, vmax=0.0,
@@ -73,7 +74,8 @@ def draw_along(found: FiniteLength, profiles: Sequence[Profile], path: Path) -> 
     below.set_ylabel("energy over its mean")
     below.set_xlabel("y from the middle of the length (mm)")
     below.set_ylim(bottom=0.0)
-    below.legend(frameon=False, fontsize=8)
+    if profiles:
+        below.legend(frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(profiles))
     tidy(below)
     return save_figure(figure, path)
 

@@ -219,6 +219,8 @@ class _Waves:
         low, high = self.band
         beyond = MARGIN * (high - low)
         modes = eigenmodes(system, (max(low - beyond, 0.5 * low), high + beyond), least_q=self.least_q)
+        if not modes.omega.size:
+            return _Station(np.zeros((0, 5)), modes.states, modes.states, wave_number)
         middle = 0.5 * (low + high)
         images = system.change(middle * (1.0 - STEP), middle * (1.0 + STEP)).times(modes.states)
         size = np.sqrt(np.sum(modes.states * images, axis=0))
@@ -268,8 +270,11 @@ def _partners(before: _Station, after: _Station) -> dict[int, int]:
 
 
 def _has_loose_ends(before: _Station, after: _Station, partners: dict[int, int], band: tuple[float, float]) -> bool:
-    """Whether a mode lacks a partner that its slope predicts."""
-    step = after.wave_number - before.wave_number
+    """Whether a mode lacks a partner that its slope predicts.
+
+    It does if it is in the band for half of the step or more.
+    """
+    step = 0.5 * (after.wave_number - before.wave_number)
     for station, linked, way in ((before, partners.values(), step), (after, partners.keys(), -step)):
         loose = np.setdiff1d(np.arange(len(station.rows)), np.array(list(linked), dtype=int))
         here = station.rows[loose, 1]
