@@ -85,7 +85,7 @@ if TYPE_CHECKING:
     from workbench.results.spectrum import write_spectrum as write_spectrum
     from workbench.simulation.beads import trajectories as trajectories
     from workbench.simulation.channel import channel_figures as channel_figures
-    from workbench.simulation.dispersion import Dispersion as Dispersion
+    from workbench.simulation.dispersion import GuidedWaves as GuidedWaves
     from workbench.simulation.dispersion import dispersion as dispersion
     from workbench.simulation.energy_comparison import EnergyComparison as EnergyComparison
     from workbench.simulation.energy_comparison import compare_energy as compare_energy
@@ -118,7 +118,6 @@ PUBLIC = {
     "Design": "workbench.design.optimisation",
     "DesignModel": "workbench.design.model",
     "Diagnosis": "workbench.diagnosis.outcome",
-    "Dispersion": "workbench.simulation.dispersion",
     "EnergyComparison": "workbench.simulation.energy_comparison",
     "EnergyRecording": "workbench.results.energy_recording",
     "Evaluation": "workbench.design.evaluation",
@@ -127,6 +126,7 @@ PUBLIC = {
     "FiniteLength": "workbench.simulation.finite_length",
     "FittedResonance": "workbench.results.circuit",
     "Goal": "workbench.design.goal",
+    "GuidedWaves": "workbench.simulation.dispersion",
     "Heating": "workbench.acoustics.heat",
     "InputError": "workbench.files.errors",
     "LiquidMotion": "workbench.simulation.liquid_motion",

@@ -1,9 +1,10 @@
 """A strip of ceramic in three dimensions: simply supported ends against the sum over wave numbers, and free ends.
 
 A quarter of the strip is meshed by hexahedra with quadratic fields. Its conductance with both kinds of ends stands
-beside that of `wb.finite_length`, which has the first kind. It takes a minute.
+beside that of `wb.finite_length`, which has the first kind. It takes a minute or two. The lines of the page on modes:
 
-    .venv/bin/python tests/benchmarks/free_ends.py
+    .venv/bin/python tests/benchmarks/free_ends.py --low 0.52 --high 0.55 --points 31 --elements 4 16 2
+    .venv/bin/python tests/benchmarks/free_ends.py --low 0.52 --high 0.55 --points 31 --length 24 --elements 3 24 2
 """
 
 from __future__ import annotations

@@ -12,14 +12,14 @@ from workbench.render.canvas import PLAIN_COLOURS, new_figure, save_figure
 from workbench.render.plots import LINE_COLOURS, tidy
 
 if TYPE_CHECKING:
-    from workbench.simulation.dispersion import Dispersion
-    from workbench.simulation.finite_length import FiniteLength, Profile
+    from workbench.simulation.dispersion import GuidedWaves
+    from workbench.simulation.finite_length import EnergyProfile, FiniteLength
 
 #: Lowest energy of the colours, in dB below the highest.
 _FLOOR = -40.0
 
 
-def draw_dispersion(found: Dispersion, path: Path) -> Path:
+def draw_dispersion(found: GuidedWaves, path: Path) -> Path:
     """Draw f over k of the branches. Writes `path`.
 
     The colour is the share of the energy in the liquid.
@@ -27,6 +27,7 @@ def draw_dispersion(found: Dispersion, path: Path) -> Path:
     from matplotlib.collections import LineCollection
 
     figure = new_figure(8.0, 6.0)
+    figure.set_layout_engine("constrained")
     axes = figure.subplots()
     for branch in found.branches:
         # Between two wave numbers, the cubic with both group velocities.
@@ -42,14 +43,15 @@ def draw_dispersion(found: Dispersion, path: Path) -> Path:
     axes.set_ylim(found.band[0] / 1e6, found.band[1] / 1e6)
     axes.set_xlabel("wave number along the channel k (1/mm)")
     axes.set_ylabel("frequency (MHz)")
-    axes.set_title(f"{found.chip.name}, {found.state}: waves along the channel, Q of {found.least_q:.3g} or more")
+    axes.set_title(f"{found.chip.name}, {found.state}: waves along the channel, Q of {found.least_q:.3g} or more",
+                   fontsize=10)
     if found.branches:
         figure.colorbar(lines, ax=axes, label="share of the energy in the liquid")
     tidy(axes)
     return save_figure(figure, path)
 
 
-def draw_along(found: FiniteLength, profiles: Sequence[Profile], path: Path) -> Path:
+def draw_along(found: FiniteLength, profiles: Sequence[EnergyProfile], path: Path) -> Path:
     """Draw the energy along the channel over frequency, and its `profiles`.
 
     A profile is over its mean, with marks at its maxima. Writes `path`.

@@ -9,10 +9,10 @@ import numpy as np
 
 from workbench.report.page import TextTable, table
 from workbench.report.record import plain
-from workbench.simulation.finite_length import FiniteLength, Profile
+from workbench.simulation.finite_length import EnergyProfile, FiniteLength
 
 
-def along_table(found: FiniteLength, profiles: Sequence[Profile]) -> TextTable:
+def along_table(found: FiniteLength, profiles: Sequence[EnergyProfile]) -> TextTable:
     """The maxima of the energy along the channel, by frequency."""
     return table(
         "f (MHz):.6f | mean E_ac (J/m^3 per Vpp^2) | without ends | maxima | distance (mm) | largest over mean:.3g",
@@ -20,7 +20,7 @@ def along_table(found: FiniteLength, profiles: Sequence[Profile]) -> TextTable:
          for each in profiles])
 
 
-def along_record(found: FiniteLength, profiles: Sequence[Profile]) -> dict[str, Any]:
+def along_record(found: FiniteLength, profiles: Sequence[EnergyProfile]) -> dict[str, Any]:
     """The content of ``along.json``; impedances are e^{+j w t}."""
     shown = [{"frequency_hz": each.frequency, "energy_j_m3_per_vpp2": _energies(found, each)[0],
               "without_ends_j_m3_per_vpp2": _energies(found, each)[1], "maxima_m": each.spots,
@@ -37,7 +37,7 @@ def along_record(found: FiniteLength, profiles: Sequence[Profile]) -> dict[str, 
     return record
 
 
-def _energies(found: FiniteLength, profile: Profile) -> tuple[float, float]:
+def _energies(found: FiniteLength, profile: EnergyProfile) -> tuple[float, float]:
     """Mean energy densities at the frequency of a profile.
 
     They are in J/m^3 per Vpp^2, with and without ends.

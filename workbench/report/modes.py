@@ -9,7 +9,7 @@ import numpy as np
 
 from workbench.report.page import TextTable, table
 from workbench.report.record import record
-from workbench.simulation.dispersion import Dispersion
+from workbench.simulation.dispersion import GuidedWaves
 from workbench.simulation.matched_modes import MatchedMode
 from workbench.simulation.modes import ChipModes
 
@@ -25,7 +25,7 @@ def modes_record(found: ChipModes) -> dict[str, Any]:
     return record(found, f"chip=chip.name state band_hz least_q modes {{ {keys} }}")
 
 
-def dispersion_table(found: Dispersion) -> TextTable:
+def dispersion_table(found: GuidedWaves) -> TextTable:
     """Every branch, its largest group velocity and share in the liquid."""
     return table(
         "k from (1/m) | to (1/m) | f from (MHz):.6f | to (MHz):.6f | least Q | largest group velocity (m/s) | "
@@ -34,7 +34,7 @@ def dispersion_table(found: Dispersion) -> TextTable:
           float(np.abs(each.group_velocity).max()), each.liquid.max()) for each in found.branches])
 
 
-def dispersion_record(found: Dispersion) -> dict[str, Any]:
+def dispersion_record(found: GuidedWaves) -> dict[str, Any]:
     """The waves along the channel, of ``modes.json``."""
     keys = "wave_number_1_m=wave_number frequency_hz q group_velocity_m_s liquid decay_length_m"
     return record(found, f"band_hz least_q wave_numbers_1_m=wave_numbers branches {{ {keys} }}")

@@ -86,7 +86,7 @@ class Branch(Brief):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Dispersion(Shown):
+class GuidedWaves(Shown):
     """The branches of a chip's ``state`` in a ``band`` (Hz).
 
     They are sorted by their first wave number and frequency, and have at least the quality factor ``least_q``. The
@@ -119,7 +119,7 @@ def dispersion(
     accuracy: float | Discretisation = ACCURACY,
     registry: Registry | None = None,
     progress: Progress = no_progress,
-) -> Dispersion:
+) -> GuidedWaves:
     """The waves along the channel of a straight chip.
 
     Parameters
@@ -156,7 +156,7 @@ def dispersion(
     wave_numbers = np.linspace(0.0, 2.0 * math.pi / shortest, points)
     solved, found = guided_waves(build(device, band=span, accuracy=accuracy), span, wave_numbers, least_q=least_q,
                                  progress=progress)
-    return Dispersion(chip, device.state.name, span, least_q, solved, found)
+    return GuidedWaves(chip, device.state.name, span, least_q, solved, found)
 
 
 def guided_waves(

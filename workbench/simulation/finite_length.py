@@ -65,7 +65,7 @@ class LengthNotConverged(RuntimeError):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Profile(Brief):
+class EnergyProfile(Brief):
     """The energy along the channel at a ``frequency`` (Hz), at 1 V.
 
     ``place`` (m,) in m from the middle of the length, ``energy_density`` (m,) in J/m^3 the mean over the cavity's
@@ -96,7 +96,7 @@ class Profile(Brief):
 
 
 @dataclass(frozen=True, eq=False)
-class Cavity:
+class CavityEnergy:
     """The energy of the pressure in the cavity.
 
     ``matrices`` are the integrals of the energy on the unknowns ``rows``. ``coefficients`` (n, integrals) make them
@@ -111,7 +111,7 @@ class Cavity:
     volume: float
 
     @classmethod
-    def of(cls, operators: FullOperators, problem: Problem, frequencies: Real) -> Cavity:
+    def of(cls, operators: FullOperators, problem: Problem, frequencies: Real) -> CavityEnergy:
         """The cavity of a straight model with fields along the channel.
 
         Raises
@@ -185,7 +185,7 @@ class FiniteLength(Shown):
     energy_without_ends: Real
     moved: float
     parts: tuple[Part, ...]
-    cavity: Cavity | None = field(compare=False)
+    cavity: CavityEnergy | None = field(compare=False)
 
     @property
     def length(self) -> float:
@@ -202,7 +202,7 @@ class FiniteLength(Shown):
         """Frequencies (Hz) of the peaks of the mean energy, the highest first."""
         return tuple(self.frequency[peaks_of(self.energy_density)].tolist()) if self.cavity is not None else ()
 
-    def profile(self, frequency: float | None = None) -> Profile:
+    def profile(self, frequency: float | None = None) -> EnergyProfile:
         """The energy along the channel near a frequency (Hz).
 
         It is at the nearest solved frequency; without one, at the highest peak of the energy.
@@ -222,7 +222,7 @@ class FiniteLength(Shown):
         place = self._places
         density = self._density(index)
         spots = find_peaks(np.log(np.maximum(density, 1e-300)), math.log(LEAST_RISE))[0]
-        return Profile(float(self.frequency[index]), place, density, place[spots])
+        return EnergyProfile(float(self.frequency[index]), place, density, place[spots])
 
     def energy_map(self) -> tuple[Real, Real]:
         """Places (m,) in m along the channel, and the energy density there.
@@ -346,7 +346,7 @@ class DrivenSection:
     operators: FullOperators
     frequencies: Real
     lift: Real
-    cavity: Cavity | None
+    cavity: CavityEnergy | None
 
     @classmethod
     def of(cls, posed: Problem, frequencies: Real) -> DrivenSection:
@@ -360,7 +360,7 @@ class DrivenSection:
         middle = float(np.median(frequencies))
         lift = clamped_state(operators, {**posed.values, ORDER: 0.0}, middle)
         try:
-            cavity = Cavity.of(operators, posed, frequencies)
+            cavity = CavityEnergy.of(operators, posed, frequencies)
         except NoSound:
             cavity = None
         return cls(posed, operators, frequencies, lift, cavity)
