@@ -314,7 +314,7 @@ def driven_length(section: DrivenSection, length: float, progress: Progress = no
     """
     frequencies = section.frequencies
     endless = section.part(0.0, math.sqrt(2.0))  # cos(0 y) has the mean square 1, not a half.
-    parts, charge, rest, close, before = list[Part](), section.fixed_charge, 2.0, 0, np.zeros(frequencies.size)
+    parts, charge, rest, close = list[Part](), section.fixed_charge, 2.0, 0
     total, moved = charge, math.inf
     while close < IN_A_ROW:
         if len(parts) == MOST_PARTS:
@@ -325,8 +325,8 @@ def driven_length(section: DrivenSection, length: float, progress: Progress = no
         parts.append(section.part(n * math.pi / length, factor))
         charge, rest = charge + parts[-1].charge, rest - factor**2
         # All further parts have the static response of this one.
-        before, total = total, charge + rest / factor**2 * parts[-1].charge
-        moved = float(np.abs(total / before - 1.0).max())
+        summed = charge + rest / factor**2 * parts[-1].charge
+        moved, total = float(np.abs(summed / total - 1.0).max()), summed
         energy = sum((part.energy for part in parts), np.zeros(frequencies.size))
         share = float(np.divide(parts[-1].energy, energy, out=np.zeros(energy.size), where=energy > 0.0).max())
         close = close + 1 if max(moved, share) <= TOLERANCE else 0
