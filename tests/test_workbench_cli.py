@@ -21,7 +21,7 @@ from workbench.physics.term import ModelError
 
 CHIP = str(Path(__file__).resolve().parent.parent / "geometry" / "chips" / "disc_20x2.toml")
 COMMANDS = ("simulate", "compare", "mesh", "export", "render", "sensitivity", "materials", "measure", "import", "bench",
-            "doctor")
+            "doctor", "modes", "along")
 
 
 @pytest.fixture(autouse=True)

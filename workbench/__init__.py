@@ -85,8 +85,12 @@ if TYPE_CHECKING:
     from workbench.results.spectrum import write_spectrum as write_spectrum
     from workbench.simulation.beads import trajectories as trajectories
     from workbench.simulation.channel import channel_figures as channel_figures
+    from workbench.simulation.dispersion import GuidedWaves as GuidedWaves
+    from workbench.simulation.dispersion import dispersion as dispersion
     from workbench.simulation.energy_comparison import EnergyComparison as EnergyComparison
     from workbench.simulation.energy_comparison import compare_energy as compare_energy
+    from workbench.simulation.finite_length import FiniteLength as FiniteLength
+    from workbench.simulation.finite_length import finite_length as finite_length
     from workbench.simulation.heating import LiquidWarming as LiquidWarming
     from workbench.simulation.heating import heating as heating
     from workbench.simulation.heating import liquid_warming as liquid_warming
@@ -119,8 +123,10 @@ PUBLIC = {
     "Evaluation": "workbench.design.evaluation",
     "Feature": "geometry.features",
     "Figures": "workbench.results.merit",
+    "FiniteLength": "workbench.simulation.finite_length",
     "FittedResonance": "workbench.results.circuit",
     "Goal": "workbench.design.goal",
+    "GuidedWaves": "workbench.simulation.dispersion",
     "Heating": "workbench.acoustics.heat",
     "InputError": "workbench.files.errors",
     "LiquidMotion": "workbench.simulation.liquid_motion",
@@ -152,11 +158,13 @@ PUBLIC = {
     "compare_energy": "workbench.simulation.energy_comparison",
     "design_model": "workbench.design.model",
     "diagnose": "workbench.diagnosis.appraisal",
+    "dispersion": "workbench.simulation.dispersion",
     "draw_from_above": "workbench.render.beads",
     "draw_spectra": "workbench.render.plots",
     "draw_state": "workbench.render.gallery",
     "draw_tolerance": "workbench.render.tolerances",
     "figures": "workbench.results.merit",
+    "finite_length": "workbench.simulation.finite_length",
     "fit": "workbench.fitting.recordings",
     "fit_circuit": "workbench.results.circuit",
     "fit_resonances": "workbench.results.resonances",

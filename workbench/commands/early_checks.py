@@ -22,7 +22,7 @@ FILES = ("chip", "recording", "campaign", "goal", "study", "bench", "columns", "
 QUANTITIES: Mapping[str, tuple[str, str]] = {
     "low": ("--from", "frequency"), "high": ("--to", "frequency"),
     "accuracy": ("--accuracy", "share"), "noise": ("--noise", "share"), "window": ("--window", "length"),
-    "particle_radius": ("--particle-radius", "length"),
+    "particle_radius": ("--particle-radius", "length"), "shortest": ("--shortest", "length"),
 }
 
 #: Options of `diagnose` for one recording, as on the command line; a campaign file has keys for them.

@@ -169,6 +169,12 @@ def _modes(sub: argparse.ArgumentParser) -> None:
                      help='numbers of waves around the axis of a round chip, such as "0,1,2" (default 0)')
     sub.add_argument("--wavelengths", default="", metavar="LIST",
                      help='wavelengths along a straight chip, such as "5 mm,2 mm" (default: uniform modes alone)')
+    sub.add_argument("--dispersion", action="store_true", help="frequency over the wave number along a straight chip, "
+                     "with a picture (default: not)")
+    sub.add_argument("--shortest", metavar="LENGTH", help="shortest wavelength of --dispersion (default: of sound in "
+                     "the liquid, or of shear in the transducer, at the end of the band)")
+    sub.add_argument("--wave-numbers", type=int, metavar="N", help="wave numbers of --dispersion, beside those that "
+                     "are added between them (default 33)")
     sub.add_argument("--least-q", type=float, default=20.0, metavar="Q",
                      help="smallest quality factor of a mode (default 20)")
     sub.add_argument("--recording", type=Path, metavar="FILE", help="a recording of this state: its resonances beside "
@@ -177,6 +183,16 @@ def _modes(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--draw", type=int, default=6, metavar="N", help="modes to draw, those of the largest coupling or "
                      "energy in the liquid (default 6)")
     sub.add_argument("--animate", action="store_true", help="a cycle of each drawn mode too, as a GIF (default: not)")
+    sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
+
+
+def _along(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    _with_model(sub)
+    sub.add_argument("--points", type=int, default=241, metavar="N", help="frequencies in the band (default 241)")
+    sub.add_argument("--at", metavar="FREQ", help="frequency of the energy along the channel (default: the three "
+                     "highest peaks of the energy)")
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
@@ -522,6 +538,7 @@ COMMANDS: Mapping[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = 
     "mesh": ("mesh a chip; with --converge the change of f0 and Z_min between refinements", _mesh),
     "export": ("write the solids of a chip as STEP and STL", _export),
     "modes": ("the modes of a chip, which are the peaks of its spectrum, with pictures", _modes),
+    "along": ("a straight chip between its ends: impedance, energy along the channel, where beads bunch", _along),
     "render": ("draw the fields of a chip at one frequency", _render),
     "particles": ("follow the particles of a chip: where they are after minutes, with pictures", _particles),
     "sensitivity": ("rank the constants of a transducer by their effect on its spectrum", _sensitivity),

@@ -157,6 +157,19 @@ def eigenmodes(system: System, band: tuple[float, float], *, least_q: float = LE
                       np.concatenate([part.changes for part in parts])[order])
 
 
+def eigenfrequency_slopes(system: System, found: Eigenmodes, name: str) -> Complex:
+    """Derivatives (n,) of angular eigenfrequencies by a parameter.
+
+    A(w, theta) x = 0 and x^T A = 0 give dw = -x^T (dA/dtheta) x / (x^T (dA/dw) x). The coefficients are those at the
+    real parts of the frequencies: the real part of a slope is off by 1 / Q^2.
+    """
+    coefficients, omega = system.operators.coefficients, found.omega
+    slopes = coefficients.slopes(system.values, (name,))[0]
+    forms = system.operators.combined_forms(found.states, np.array(list(slopes.values())))
+    laws = np.array([law(omega.real, system.values) for law in slopes])
+    return np.asarray(np.sum(laws.T * forms, axis=1) / (2.0 * omega))
+
+
 def _windows(system: System, band: tuple[float, float], least_q: float) -> Iterator[Eigenmodes]:
     """Modes about several frequencies, each mode once, until they cover the band."""
     edge, high = band

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from workbench.report.page import TextTable, table
 from workbench.report.record import record
+from workbench.simulation.dispersion import GuidedWaves
 from workbench.simulation.matched_modes import MatchedMode
 from workbench.simulation.modes import ChipModes
 
@@ -20,6 +23,21 @@ def modes_record(found: ChipModes) -> dict[str, Any]:
     """The content of ``modes.json``; a wavelength is null if there is none."""
     keys = "order wavelength_m frequency_hz q capacitance_f k_eff energy loss zeros=crossings"
     return record(found, f"chip=chip.name state band_hz least_q modes {{ {keys} }}")
+
+
+def dispersion_table(found: GuidedWaves) -> TextTable:
+    """Every branch, its largest group velocity and share in the liquid."""
+    return table(
+        "k from (1/m) | to (1/m) | f from (MHz):.6f | to (MHz):.6f | least Q | largest group velocity (m/s) | "
+        "liquid (%):.3g",
+        [(each.wave_number[0], each.wave_number[-1], each.frequency[0], each.frequency[-1], each.q.min(),
+          float(np.abs(each.group_velocity).max()), each.liquid.max()) for each in found.branches])
+
+
+def dispersion_record(found: GuidedWaves) -> dict[str, Any]:
+    """The waves along the channel, of ``modes.json``."""
+    keys = "wave_number_1_m=wave_number frequency_hz q group_velocity_m_s liquid decay_length_m"
+    return record(found, f"band_hz least_q wave_numbers_1_m=wave_numbers branches {{ {keys} }}")
 
 
 def matched_table(matched: Sequence[MatchedMode]) -> TextTable:
