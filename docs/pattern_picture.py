@@ -32,8 +32,8 @@ def main() -> None:
     print(pattern)
     assert shot.traps is not None
     for trap in pattern.traps(shot.traps.forces):
-        print(f"r {1e3 * trap.radius:.3f} mm, z {1e3 * trap.height:.3f} mm, {math.degrees(trap.angle):.0f} deg, "
-              f"{1e15 * trap.potential:.3g} fJ")
+        angle = "a ring" if trap.angle is None else f"{math.degrees(trap.angle):.0f} deg"
+        print(f"r {1e3 * trap.radius:.3f} mm, z {1e3 * trap.height:.3f} mm, {angle}, {1e15 * trap.potential:.3g} fJ")
     print(draw_pattern(pattern, shot.traps, DOCS / "images" / "pattern.png"))
 
 

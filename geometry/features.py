@@ -71,7 +71,8 @@ def read_features(root: FileTable) -> tuple[Feature, ...]:
 
 def _feature(table: FileTable) -> Feature:
     table.only(_KEYS)
-    kind = choose(table.required("kind", "a kind of feature"), KINDS, source=table.source, field=table.at("kind"))
+    kind = table.required("kind", f"a kind of feature, {' or '.join(KINDS)}")
+    choose(kind, KINDS, source=table.source, field=table.at("kind"))
     key, dimension = KINDS[kind]
     for other in {each for each, _ in KINDS.values()} - {key} | ({"loss"} if kind == "mass" else set()):
         if other in table:
@@ -131,9 +132,9 @@ def _check_place(feature: Feature, layers: Sequence[Layer], file: str, field: st
         raise InputError(file, f"{field}.layer", feature.region, f"a layer with plane faces; this one has a {shape}")
     low, high = layer.inner_radius if neighbour is None else neighbour.outer_radius, layer.outer_radius
     if neighbour is not None and high - low < feature.diameter:
+        part = "" if low >= high else f" up to {millimetres(low)} of {millimetres(high)}"
         raise InputError(file, f"{field}.face", feature.face, f"a face with {millimetres(feature.diameter)} free for "
-                         f"the patch: the {feature.face} of {feature.region} is covered by {neighbour.region} "
-                         f"{'' if low >= high else f'up to {millimetres(low)} of {millimetres(high)} '}from the axis")
+                         f"the patch: {neighbour.region} covers the {feature.face} of {feature.region}{part}")
     radius = 0.5 * feature.diameter
     # A patch may lie about the axis of a full disc.
     least, most = low + radius if low else 0.0, high - radius

@@ -85,9 +85,9 @@ def test_a_straight_chip_has_none() -> None:
 
 
 @pytest.mark.parametrize(("region", "face", "distance", "field", "words"), [
-    ("transducer", "top", 5e-3, "features[0].face", "covered by couplant"),
-    ("sidewall", "top", 5e-3, "features[0].face", "covered by bond"),
-    ("substrate", "top", 5e-3, "features[0].face", "covered by sidewall"),
+    ("transducer", "top", 5e-3, "features[0].face", "couplant covers"),
+    ("sidewall", "top", 5e-3, "features[0].face", "bond covers"),
+    ("substrate", "top", 5e-3, "features[0].face", "sidewall covers"),
     ("transducer", "bottom", 12.1e-3, "features[0].distance", "0 mm to"),
     ("superstrate", "top", 0.0, None, ""),
 ])

@@ -69,7 +69,7 @@ def test_a_rigid_channel() -> None:
     # The fluid does not touch the solid.
     posed = replace(posed, terms=tuple(term for term in posed.terms if not isinstance(
         term, fluid.SolidFluidContact | fluid.PressureRelease)))
-    solved, branches = guided_waves(posed, (3.8e6, 4.4e6), np.linspace(0.0, 8e3, 5))
+    solved, branches, _ = guided_waves(posed, (3.8e6, 4.4e6), np.linspace(0.0, 8e3, 5))
     (branch,) = (each for each in branches if each.liquid.min() > 0.5)
     assert branch.is_uniform
     assert branch.wave_number == pytest.approx(solved)
@@ -85,17 +85,24 @@ def strip(width: float, height: float) -> Problem:
 
 
 def test_a_wave_that_begins_at_some_wave_number() -> None:
-    solved, (branch,) = guided_waves(strip(1e-3, 0.2e-3), (1.1e6, 1.5e6), np.linspace(0.0, 1600.0, 9))
+    solved, (branch,), unlinked = guided_waves(strip(1e-3, 0.2e-3), (1.1e6, 1.5e6), np.linspace(0.0, 1600.0, 9))
     assert solved[0] == 0.0
     assert branch.wave_number == pytest.approx([1200.0, 1400.0])
     assert not branch.is_uniform
+    assert unlinked == 0
+
+
+def test_modes_without_a_branch_are_counted() -> None:
+    """The shear wave at k = 0 leaves the band before the next wave number."""
+    _, branches, unlinked = guided_waves(strip(1e-3, 0.2e-3), (1.4e6, 2.8e6), np.array([0.0, 2e5]))
+    assert (branches, unlinked > 0) == ((), True)
 
 
 def test_branches_of_a_strip_cross() -> None:
     """A strip on rollers at four sides has plane waves: one of shear, and one of pressure along y, which cross."""
     width, height = 1e-3, 0.2e-3
     posed = strip(width, height)
-    _, branches = guided_waves(posed, (1.4e6, 2.8e6), np.linspace(0.0, 3200.0, 9))
+    _, branches, _ = guided_waves(posed, (1.4e6, 2.8e6), np.linspace(0.0, 3200.0, 9))
     shear, pressure = branches
     assert shear.is_uniform
     assert not pressure.is_uniform
@@ -148,7 +155,7 @@ def test_bad_input_is_refused(plate: wb.Chip, arguments: dict[str, object], fiel
 
 
 def test_a_round_chip_has_no_waves_along_a_channel() -> None:
-    with pytest.raises(InputError, match=r"disc.*a straight chip.*orders around its axis"):
+    with pytest.raises(InputError, match=r"chip.geometry.*straight.*orders around its axis"):
         wb.dispersion(wb.read_chip("geometry/chips/disc_20x2.toml"))
 
 

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from geometry.chip import read_chip
 from workbench.commands.parsed_options import model_options, output_folder
-from workbench.commands.terminal import print_line, print_table, progress_bars
+from workbench.commands.terminal import print_line, print_table, progress_bars, say_finding
 from workbench.files.errors import InputError
 from workbench.files.ownership import Outputs
 from workbench.files.writing import write_json
 from workbench.render.along import draw_along, draw_between_ends
 from workbench.report.along import along_record, along_table
-from workbench.simulation.finite_length import finite_length
+from workbench.simulation.finite_length import finite_length, stated_measure
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,6 +30,7 @@ def run_along(options: argparse.Namespace, console: Console) -> int:
     """``workbench along``: a chip of its length between its ends, with pictures."""
     chip = read_chip(options.chip)
     model, name = model_options(options, chip), chip.state(options.state).name
+    stated_measure(chip)
     if isinstance(model.at, str):
         raise InputError("command line", "--at", options.at, 'a frequency, such as "1.94 MHz"')
     folder = output_folder(options, OUTPUTS)
@@ -47,6 +48,11 @@ def run_along(options: argparse.Namespace, console: Console) -> int:
     if profiles:
         print_table(f"{chip.name}, {name}: {1e3 * found.length:.4g} mm, {len(found.parts)} wave numbers",
                     along_table(found, profiles))
+    if not profiles:
+        say_finding("the state has no liquid in its cavity: impedances alone", console)
+    elif not found.peaks and model.at is None:
+        say_finding("the energy has no peak in the band: the maxima are those at its largest value, at "
+                    f"{profiles[0].frequency / 1e6:.6g} MHz", console)
     for path in paths:
         print_line(str(path))
     return 0

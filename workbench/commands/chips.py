@@ -10,7 +10,7 @@ import geometry
 from geometry.chip import read_chip
 from workbench.commands.terminal import print_line, print_table
 from workbench.files.errors import InputError, choose
-from workbench.files.writing import REMEDIES, remedy, write_atomic
+from workbench.files.writing import REMEDIES, remedy
 from workbench.report.page import table
 
 if TYPE_CHECKING:
@@ -33,10 +33,12 @@ def run_chips(options: argparse.Namespace, _console: Console) -> int:
     target = options.output or Path(f"{name}.toml")
     if target.is_dir():
         target = target / f"{name}.toml"
-    if target.exists():
-        raise InputError("command line", "-o", str(target), "a file that does not exist yet")
     try:
-        write_atomic(target, shipped[name].read_text(encoding="utf-8"))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with target.open("x", encoding="utf-8") as file:
+            file.write(shipped[name].read_text(encoding="utf-8"))
+    except FileExistsError:
+        raise InputError("command line", "-o", str(target), "a file that does not exist yet") from None
     except OSError as error:
         expected = REMEDIES.get(error.errno or 0, remedy(error))
         raise InputError("command line", "-o", str(target), f"a file that can be written; {expected}") from None

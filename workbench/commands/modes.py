@@ -28,7 +28,7 @@ from workbench.report.modes import (
     modes_table,
 )
 from workbench.results.resonances import resonances_of
-from workbench.simulation.dispersion import WAVE_NUMBERS, dispersion
+from workbench.simulation.dispersion import WAVE_NUMBERS, check_channel, dispersion
 from workbench.simulation.matched_modes import MatchedMode, matched_modes
 from workbench.simulation.modes import ChipModes, modes
 
@@ -49,6 +49,10 @@ def run_modes(options: argparse.Namespace, console: Console) -> int:
     if options.draw < 0:
         raise InputError("command line", "--draw", options.draw, "a number of pictures, 0 or more")
     followed = _followed(options)
+    if followed is not None:
+        check_channel(chip)
+        if orders != [0]:
+            raise InputError("command line", "--orders", options.orders, "no orders of a straight chip")
     reading, band = None, model.band
     if options.recording is not None:
         reading = reading_option(options, options.recording, console)
@@ -78,6 +82,8 @@ def run_modes(options: argparse.Namespace, console: Console) -> int:
     print_table(f"{chip.name}, {name}: {len(found.modes)} modes", modes_table(found))
     if waves is not None:
         print_table(f"{chip.name}, {name}: {len(waves.branches)} waves along the channel", dispersion_table(waves))
+        if waves.finding:
+            say_finding(waves.finding, console)
     if reading is not None:
         print_table(f"{options.recording.name} beside them", matched_table(matched))
         for finding in reading.findings:

@@ -23,6 +23,8 @@ def draw_pattern(pattern: CavityPattern, traps: TrapReport | None, path: Path) -
     With `traps` of a particle, its Gor'kov potential at the height of its deepest trap is drawn beside it, with all
     traps whose height is within a sixteenth of a wavelength. Writes `path`.
     """
+    from matplotlib.patches import Circle
+
     radius = 1e3 * pattern.radius
     figure = new_figure(5.5 if traps is None else 11.0, 5.2)
     axes = figure.subplots(1, 1 if traps is None else 2, squeeze=False)[0]
@@ -39,7 +41,9 @@ def draw_pattern(pattern: CavityPattern, traps: TrapReport | None, path: Path) -
         axis.set(title=f"z = {1e3 * height:.3f} mm", xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
     if found:
         near = [trap for trap in found if abs(trap.height - found[0].height) < pattern.wavelength / 16.0]
-        places = np.array([trap.radius * np.exp(1j * trap.angle) for trap in near])
+        places = np.array([trap.radius * np.exp(1j * trap.angle) for trap in near if trap.angle is not None])
+        for ring in (trap for trap in near if trap.angle is None):
+            axes[-1].add_patch(Circle((0.0, 0.0), 1e3 * ring.radius, fill=False, edgecolor="#d55e00"))
         axes[-1].plot(1e3 * places.real, 1e3 * places.imag, "o", markerfacecolor="none", markeredgecolor="#d55e00",
                       label="traps")
         axes[-1].legend(loc="upper right")

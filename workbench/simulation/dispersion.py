@@ -90,7 +90,8 @@ class GuidedWaves(Shown):
     """The branches of a chip's ``state`` in a ``band`` (Hz).
 
     They are sorted by their first wave number and frequency, and have at least the quality factor ``least_q``. The
-    solved ``wave_numbers`` (n,) in 1/m are rising.
+    solved ``wave_numbers`` (n,) in 1/m are rising. ``unlinked`` is the number of modes in no branch: none of a
+    neighbouring wave number is like them.
     """
 
     chip: Chip
@@ -99,6 +100,14 @@ class GuidedWaves(Shown):
     least_q: float
     wave_numbers: Real
     branches: tuple[Branch, ...]
+    unlinked: int = 0
+
+    @property
+    def finding(self) -> str:
+        """The finding on modes in no branch, or ""."""
+        return "" if not self.unlinked else (
+            f"{self.unlinked} modes of single wave numbers are in no branch, since no mode at a neighbouring one is "
+            "like them: more wave numbers, or a longer shortest wavelength, would link them")
 
     def summary(self) -> Summary:
         """The branches, one a row."""
@@ -138,9 +147,7 @@ def dispersion(
     ModelError : a term of the model has no waves along the channel.
     NotConverged, ModesNotConverged : the model is singular in the band, or a mode still moves after the last round.
     """
-    if not isinstance(chip.measure, Straight):
-        raise InputError("dispersion", "chip", chip.name, 'a straight chip (geometry = "straight"): a round chip has '
-                         "no waves along a channel, but orders around its axis (wb.modes)")
+    check_channel(chip)
     if isinstance(points, bool) or not isinstance(points, numbers.Integral) or points < 2:
         raise InputError("dispersion", "points", points, "a number of wave numbers, 2 or more")
     if not isinstance(least_q, numbers.Real) or not 0.5 <= least_q < math.inf:
@@ -154,18 +161,30 @@ def dispersion(
         raise InputError("dispersion", "shortest", shortest, "a wavelength above zero (m), so that there is a range of "
                          "wave numbers")
     wave_numbers = np.linspace(0.0, 2.0 * math.pi / shortest, points)
-    solved, found = guided_waves(build(device, band=span, accuracy=accuracy), span, wave_numbers, least_q=least_q,
-                                 progress=progress)
-    return GuidedWaves(chip, device.state.name, span, least_q, solved, found)
+    solved, found, unlinked = guided_waves(build(device, band=span, accuracy=accuracy), span, wave_numbers,
+                                           least_q=least_q, progress=progress)
+    return GuidedWaves(chip, device.state.name, span, least_q, solved, found, unlinked)
+
+
+def check_channel(chip: Chip) -> None:
+    """Check that a chip has a direction along a channel.
+
+    Raises
+    ------
+    InputError : a round chip.
+    """
+    if not isinstance(chip.measure, Straight):
+        raise InputError(chip.file, "chip.geometry", "axisymmetric", '"straight" for waves along a channel; a round '
+                         "chip has orders around its axis (wb.modes)")
 
 
 def guided_waves(
     posed: Problem, band: tuple[float, float], wave_numbers: Real, *, least_q: float = LEAST_Q,
     progress: Progress = no_progress,
-) -> tuple[Real, tuple[Branch, ...]]:
+) -> tuple[Real, tuple[Branch, ...], int]:
     """The waves along a straight model in a `band` (Hz).
 
-    Returns the solved wave numbers (n,) in 1/m, and the branches.
+    Returns the solved wave numbers (n,) in 1/m, the branches, and the number of modes in no branch.
     `wave_numbers` (m,) in 1/m rise in equal steps; further ones are added where branches are unclear.
 
     Raises
@@ -177,7 +196,9 @@ def guided_waves(
     solved, branches = _followed(_Waves(posed, operators, band, least_q), wave_numbers, progress)
     found = sorted((part for rows in branches for part in _inside(np.array(rows), band)),
                    key=lambda branch: (branch.wave_number[0], branch.frequency[0]))
-    return np.array(solved), tuple(found)
+    linked = sum(branch.frequency.size for branch in found)
+    inside = sum(band[0] <= row[1] <= band[1] for rows in branches for row in rows)
+    return np.array(solved), tuple(found), int(inside) - linked
 
 
 def _shortest(device: FilledChip, band: tuple[float, float]) -> float:

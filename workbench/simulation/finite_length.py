@@ -248,6 +248,19 @@ class FiniteLength(Shown):
                        f"numbers", tuple(("", str(self.profile(each))) for each in self.peaks[:4]))
 
 
+def stated_measure(chip: Chip) -> Straight:
+    """The measure of a straight chip of a stated length.
+
+    Raises
+    ------
+    InputError : a round chip, or one without a length.
+    """
+    if not isinstance(chip.measure, Straight):
+        raise InputError(chip.file, "chip.geometry", "axisymmetric", '"straight" for a chip of some length')
+    check_stated_length(chip.measure, chip.file, "the response between its ends")
+    return chip.measure
+
+
 def finite_length(
     chip: Chip,
     state: str | None = None,
@@ -275,10 +288,7 @@ def finite_length(
     ModelError : a term of the model has no waves along the channel.
     NotConverged, ResponseNotConverged, LengthNotConverged : a solve fails, or too many wave numbers matter.
     """
-    measure = chip.measure
-    if not isinstance(measure, Straight):
-        raise InputError(chip.file, "chip.geometry", "axisymmetric", '"straight" for a chip of some length')
-    check_stated_length(measure, chip.file, "the response between its ends")
+    measure = stated_measure(chip)
     device = fill(chip, state, registry_of(chip, registry))
     span = band_of(chip, band)
     frequencies = frequency_grid(span, points)

@@ -54,12 +54,12 @@ NEGLIGIBLE = 1e-4
 class PatternTrap(NamedTuple):
     """A minimum of the potential (J) of a particle.
 
-    Its place has a radius and a height (m), and an angle (rad).
+    Its place has a radius and a height (m), and an angle (rad); None for a ring.
     """
 
     radius: float
     height: float
-    angle: float
+    angle: float | None
     potential: float
 
 
@@ -108,6 +108,9 @@ class CavityPattern(Brief):
         return float(np.nanmax(varying.sum(axis=1), initial=0.0) / np.nanmax(np.abs(self.cosines[:, 0])))
 
     def __str__(self) -> str:
+        if self.orders == 1:
+            return (f"with the features, the pressure at {self.frequency / 1e6:.6g} MHz is the same at all angles "
+                    "around the axis")
         return (f"features move the liquid at {self.frequency / 1e6:.6g} MHz with {self.orders} orders around the "
                 f"axis: up to {100.0 * self.unevenness:.3g} % of the largest pressure of order 0")
 
@@ -150,6 +153,8 @@ class CavityPattern(Brief):
         places = np.stack(np.meshgrid(r, z, indexing="ij"), axis=2).reshape(-1, 2)
         values = self.potential(forces, places, angles).reshape(r.size, z.size, angles.size)
         inside = np.where(np.isfinite(values), values, np.inf)
+        if self.orders == 1:
+            inside[:] = inside[:, :, :1]
         # All angles of the axis are one place.
         inside[0] = inside[0].mean(axis=1, keepdims=True)
         beside = minimum_filter(np.stack([inside[0], inside[1]]).min(axis=2), size=(1, 3), mode="nearest").min(axis=0)
@@ -159,11 +164,15 @@ class CavityPattern(Brief):
         is_trap[0, :, 1:] = False
         # At a wall the potential need not be lowest.
         is_trap[-1], is_trap[:, [0, -1]] = False, False
-        # A field without orders has rings of traps, which the section shows.
-        turns = np.stack([np.roll(inside, step, axis=2) for step in (-1, 1)]) - inside
-        is_trap[1:] &= (turns.max(axis=0) > LEAST_DEPTH * float(np.ptp(values[np.isfinite(values)])))[1:]
-        found = [PatternTrap(float(r[i]), float(z[k]), float(angles[n]), float(inside[i, k, n]))
-                 for i, k, n in np.argwhere(is_trap)]
+        # A field without other orders has rings. A trap beside the axis has a higher place next to it around the axis.
+        if self.orders == 1:
+            is_trap[1:, :, 1:] = False
+        else:
+            turns = np.stack([np.roll(inside, step, axis=2) for step in (-1, 1)]) - inside
+            span = float(np.ptp(values[np.isfinite(values)]))
+            is_trap[1:] &= (turns.max(axis=0) > LEAST_DEPTH * span)[1:]
+        found = [PatternTrap(float(r[i]), float(z[k]), None if i and self.orders == 1 else float(angles[n]),
+                             float(inside[i, k, n])) for i, k, n in np.argwhere(is_trap)]
         return tuple(sorted(found, key=lambda trap: trap.potential))
 
     @cached_property
