@@ -55,7 +55,7 @@ SAID = {
     "15_tolerance": "f0 within 8 kHz: 51.4 % (48.3 to 54.5 %), linear estimate 79 %",
     "18_your_own_shape": "cavity 43.73 mm^3, f0 1.0298 MHz",
     "21_my_chip_my_recording": "filled, 28 degC: |Z| differs by 0.39 % on average",
-    "20_solder": "ln Z changes by up to 226 %",
+    "20_solder": "ln Z changes by 226 %",
     "19_the_photograph": "15 J/m^3, 1.45 Vpp: the liquid carries beads with 1.7 um/s rms; the chip warms by 4 K",
 }
 #: Pages with the output of a program: of an example that they include, or of their own blocks.

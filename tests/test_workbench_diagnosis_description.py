@@ -78,7 +78,7 @@ def bump(at: float, width: float = 2e3) -> Any:
 
 def refitted(*effects: Effect, off: Any, outside: str = "", scores: tuple[Score, ...] = ()) -> Refitted:
     """A hypothesis that leaves `off` of ln Z in the state low, and as much everywhere in the state high, held out."""
-    vector = np.tile(off / NOISE, 2)
+    vector = np.concatenate([off / NOISE, np.zeros(off.size)])
     found = made_explanation(
         made_problem(vector, np.zeros((vector.size, 3)), np.ones(3)), np.zeros(3), states=(state("low"),),
         hypothesis=Hypothesis(effects, outside), log_ratio=(off + 0j,), impedances=(resonator(off),))

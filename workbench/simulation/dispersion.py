@@ -134,8 +134,7 @@ def dispersion(
     Parameters
     ----------
     state : name of the state; the last one of the file if not given.
-    shortest : wavelength (m) of the largest wave number; if not given, that of sound in the liquid, or of shear in the
-        transducer, at the end of the band.
+    shortest : wavelength (m) of the largest wave number; that of the slowest waves in liquid or disc if not given.
     points : number of wave numbers from 0; further ones are added between them.
     band : two frequencies (Hz); the chip's own if not given.
     least_q : smallest quality factor.
