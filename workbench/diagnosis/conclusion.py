@@ -47,9 +47,8 @@ def unexplained_as_stated(model: Model, stated: Sequence[StateFit], criteria: Cr
 
 def unexplained_states(explanation: Explanation, criteria: Criteria) -> list[str]:
     """Names of the fitted states that an explanation does not explain."""
-    of = zip(explanation.weighting.states, explanation.reduced_chi_squares, strict=True)
-    return [state.name for state, reduced in of
-            if _is_unexplained(state, reduced, criteria)]
+    states = zip(explanation.weighting.states, explanation.reduced_chi_squares, strict=True)
+    return [state.name for state, reduced in states if _is_unexplained(state, reduced, criteria)]
 
 
 def _is_unexplained(state: DeviceState, reduced: float, criteria: Criteria, *, held_out: bool = False) -> bool:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from workbench.render.canvas import PLAIN_COLOURS, new_figure, save_figure
-from workbench.render.plots import LINE_COLOURS, tidy
+from workbench.render.plots import LINE_COLOURS, energy_panels, save_energy, tidy
 
 if TYPE_CHECKING:
     from workbench.simulation.dispersion import GuidedWaves
@@ -87,8 +87,7 @@ def draw_between_ends(found: FiniteLength, path: Path) -> Path:
 
     They are those of the chip, and of the same without ends.
     """
-    figure = new_figure(8.0, 6.5)
-    above, below = figure.subplots(2, 1, sharex=True)
+    figure, above, below = energy_panels(f"{found.chip.name}, {found.state}")
     megahertz = found.frequency / 1e6
     for label, colour, impedance, energy in (
             ("without ends", LINE_COLOURS[1], found.without_ends, found.energy_without_ends),
@@ -96,14 +95,4 @@ def draw_between_ends(found: FiniteLength, path: Path) -> Path:
         above.plot(megahertz, np.abs(impedance), color=colour, linewidth=1.4, label=label)
         if found.cavity is not None:
             below.plot(megahertz, energy / 4.0, color=colour, linewidth=1.4)
-    above.set_title(f"{found.chip.name}, {found.state}")
-    above.set_ylabel("|Z| (Ω)")
-    above.legend(frameon=False)
-    below.set_ylabel("mean E_ac (J/m³ per Vpp²)")
-    below.set_xlabel("frequency (MHz)")
-    for axes in (above, below):
-        axes.set_yscale("log")
-        tidy(axes, both=True)
-    figure.align_ylabels()
-    figure.tight_layout()
-    return save_figure(figure, path)
+    return save_energy(figure, path)

@@ -89,8 +89,7 @@ def draw_energy(
 ) -> Path:
     """Draw |Z| and the cavity's energy density per Vpp^2 over frequency. Both are logarithmic. The `peaks` (Hz) of each
     label are marked with their frequency."""
-    figure = new_figure(8.0, 6.5)
-    above, below = figure.subplots(2, 1, sharex=True)
+    figure, above, below = energy_panels(title)
     for index, (label, each) in enumerate(energy.items()):
         colour, megahertz = LINE_COLOURS[index % len(LINE_COLOURS)], each.frequency / 1e6
         above.plot(megahertz, np.abs(each.impedance), color=colour, linewidth=1.5, label=label)
@@ -101,12 +100,24 @@ def draw_energy(
                 axes.axvline(frequency / 1e6, color=colour, linewidth=0.8, linestyle=":" if number else "--", zorder=1)
             below.annotate(f"{frequency / 1e6:.4f} MHz", (frequency / 1e6, height), textcoords="offset points",
                            xytext=(4, 2), fontsize=8, color=colour)
-    above.set_ylabel("|Z| (Ω)")
+    return save_energy(figure, path)
+
+
+def energy_panels(title: str) -> tuple[Figure, Axes, Axes]:
+    """A figure for |Z| above the cavity's energy density per Vpp^2."""
+    figure = new_figure(8.0, 6.5)
+    above, below = figure.subplots(2, 1, sharex=True)
     above.set_title(title)
-    above.legend(frameon=False)
+    above.set_ylabel("|Z| (Ω)")
     below.set_ylabel("mean E_ac (J/m³ per Vpp²)")
     below.set_xlabel("frequency (MHz)")
-    for axes in (above, below):
+    return figure, above, below
+
+
+def save_energy(figure: Figure, path: Path | str) -> Path:
+    """Write a figure of :func:`energy_panels` with a legend and logarithmic axes."""
+    figure.axes[0].legend(frameon=False)
+    for axes in figure.axes:
         axes.set_yscale("log")
         tidy(axes, both=True)
     figure.align_ylabels()

@@ -34,7 +34,7 @@ from workbench.model.problem import FilledChip, Problem, build, fill, registry_o
 from workbench.physics.orders import ORDER, terms_of_order
 from workbench.results.brief import Brief
 from workbench.results.notebook import Shown, Summary
-from workbench.simulation.solved_spectrum import band_of
+from workbench.simulation.modes import sought_band
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -149,12 +149,8 @@ def dispersion(
     check_channel(chip)
     if isinstance(points, bool) or not isinstance(points, numbers.Integral) or points < 2:
         raise InputError("dispersion", "points", points, "a number of wave numbers, 2 or more")
-    if not isinstance(least_q, numbers.Real) or not 0.5 <= least_q < math.inf:
-        raise InputError("dispersion", "least_q", least_q, "a quality factor of a half or more")
+    span = sought_band(chip, band, least_q, source="dispersion")
     device = fill(chip, state, registry_of(chip, registry))
-    span = band_of(chip, band)
-    if not 0.0 < span[0] < span[1] < math.inf:
-        raise InputError("dispersion", "band", span, "two rising frequencies (Hz)")
     shortest = _shortest(device, span) if shortest is None else shortest
     if not isinstance(shortest, numbers.Real) or not 0.0 < shortest < math.inf:
         raise InputError("dispersion", "shortest", shortest, "a wavelength above zero (m), so that there is a range of "

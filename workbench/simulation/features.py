@@ -82,8 +82,7 @@ def spectrum_with(
     """
     assert found.model is not None
     assert found.solution is not None
-    driven = [patch_forms(found.model.full, part.patch, 0).T @ (found.model.basis @ found.solution.states)
-              for part in parts]
+    driven = driven_displacements(found.model.full, parts, found.model.basis @ found.solution.states)
     between = compliance_of(posed, [part.patch for part in parts], np.array([part.angle for part in parts]),
                             found.frequency, progress=progress)
     change = charge_change(parts, found.frequency, driven, between.total)
@@ -120,6 +119,19 @@ def directions_of(count: int) -> list[int]:
     return [AWAY, UP, ALONG] if count > 1 else [AWAY, UP]
 
 
+def along_circumference(count: int) -> NDArray[np.bool_]:
+    """Whether each motion (k,) of `count` parts is along the circumference."""
+    return np.tile(np.array(directions_of(count)) == ALONG, count)
+
+
+def driven_displacements(operators: FullOperators, parts: Sequence[RigidPart], states: Complex) -> list[Complex]:
+    """The mean displacements (3, n) of the patch of each part.
+
+    They are those of order 0 in `states` (size, n), in m at 1 V.
+    """
+    return [patch_forms(operators, part.patch, 0).T @ states for part in parts]
+
+
 def compliance_of(
     posed: Problem, patches: Sequence[Patch], angles: Real, frequencies: Real, *, tolerance: float = TOLERANCE,
     keep: Callable[[FullOperators, Complex], Complex] | None = None, progress: Progress = no_progress,
@@ -137,7 +149,7 @@ def compliance_of(
     """
     directions = directions_of(len(patches))
     size = len(directions)
-    is_along = np.tile(np.array(directions) == ALONG, len(patches))
+    is_along = along_circumference(len(patches))
     turn = np.kron(angles[:, None] - angles, np.ones((size, size)))
     orders, total, error = _Orders(posed, patches, directions, frequencies, tolerance, keep), 0.0, 0.0
     space = HalfSpace.of(patches, angles) if any(patch.distance for patch in patches) else None
@@ -220,7 +232,7 @@ class _Orders:
     ) -> tuple[Complex, float, Complex | None]:
         system = System(operators, {**self.posed.values, ORDER: float(order)})
         forms = np.hstack([patch_forms(operators, patch, order)[:, self.directions] for patch in self.patches])
-        is_along = np.tile(np.array(self.directions) == ALONG, len(self.patches))
+        is_along = along_circumference(len(self.patches))
         acting = forms.any(axis=0) & (is_along == is_torsion if order == 0 else True)
         result = np.zeros((self.frequencies.size, acting.size, acting.size), dtype=complex)
         fields = np.zeros((operators.size - 1, acting.size), dtype=complex)

@@ -164,11 +164,9 @@ def modes(
     NotConverged, ModesNotConverged : the model is singular in the band, or a mode still moves after the last round.
     """
     is_straight = isinstance(chip.measure, Straight)
-    values = _checked(orders, wavelengths, is_straight, least_q)
+    values = _checked(orders, wavelengths, is_straight)
+    span = sought_band(chip, band, least_q, source="modes")
     device = fill(chip, state, registry_of(chip, registry))
-    span = band_of(chip, band)
-    if not 0.0 < span[0] < span[1] < math.inf:
-        raise InputError("modes", "band", span, "two rising frequencies (Hz)")
     posed = build(device, band=span, accuracy=accuracy)
     nodal, dofs = section_nodes(posed.mesh)
     found: list[ChipMode] = []
@@ -191,9 +189,24 @@ def modes(
                  nodal)
 
 
-def _checked(
-    orders: Sequence[int], wavelengths: Sequence[float], is_straight: bool, least_q: float
-) -> tuple[float, ...]:
+def sought_band(
+    chip: Chip, band: tuple[float, float] | None, least_q: float, *, source: str
+) -> tuple[float, float]:
+    """The band (Hz) in which modes are sought, by default the chip's.
+
+    Raises
+    ------
+    InputError : from the `source`, a band that does not rise, or no quality factor.
+    """
+    if not isinstance(least_q, numbers.Real) or not 0.5 <= least_q < math.inf:
+        raise InputError(source, "least_q", least_q, "a quality factor of a half or more")
+    span = band_of(chip, band)
+    if not 0.0 < span[0] < span[1] < math.inf:
+        raise InputError(source, "band", span, "two rising frequencies (Hz)")
+    return span
+
+
+def _checked(orders: Sequence[int], wavelengths: Sequence[float], is_straight: bool) -> tuple[float, ...]:
     """The orders, or wave numbers (1/m), to solve."""
     for name, given in (("orders", orders), ("wavelengths", wavelengths)):
         if isinstance(given, str) or not isinstance(given, Sequence):
@@ -210,8 +223,6 @@ def _checked(
     for length in wavelengths:
         if not isinstance(length, numbers.Real) or not 0.0 < length < math.inf:
             raise InputError("modes", "wavelengths", length, "lengths above zero (m)")
-    if not isinstance(least_q, numbers.Real) or not 0.5 <= least_q < math.inf:
-        raise InputError("modes", "least_q", least_q, "a quality factor of a half or more")
     return tuple(dict.fromkeys((*map(float, orders), *(2.0 * math.pi / length for length in wavelengths))))
 
 

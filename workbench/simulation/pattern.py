@@ -27,13 +27,19 @@ from workbench.acoustics.forces import ParticleForces
 from workbench.acoustics.nodal import NodalMesh, gradient, interpolate
 from workbench.acoustics.radiation import gorkov_potential
 from workbench.fem.operators import FullOperators
-from workbench.fem.patch import ALONG, patch_forms
 from workbench.fem.solve import Solution
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.drive import Drive
 from workbench.model.problem import Problem
 from workbench.results.brief import Brief
-from workbench.simulation.features import RigidPart, charge_change, compliance_of, directions_of, forces_of
+from workbench.simulation.features import (
+    RigidPart,
+    along_circumference,
+    charge_change,
+    compliance_of,
+    driven_displacements,
+    forces_of,
+)
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -226,12 +232,12 @@ def cavity_pattern(
     angles = np.array([part.angle for part in parts])
     between = compliance_of(posed, [part.patch for part in parts], angles, solution.frequency, keep=pressure,
                             progress=progress)
-    driven = [patch_forms(operators, part.patch, 0).T @ solution.states for part in parts]
+    driven = driven_displacements(operators, parts, solution.states)
     forces = forces_of(parts, solution.frequency, driven, between.total)[0]
     change = charge_change(parts, solution.frequency, driven, between.total)
     voltage = drive.amplitude(solution.impedance * solution.charge / (solution.charge + change))[0]
-    directions = directions_of(len(parts))
-    is_along, at = np.tile(np.array(directions) == ALONG, len(parts)), np.repeat(angles, len(directions))
+    is_along = along_circumference(len(parts))
+    at = np.repeat(angles, is_along.size // len(parts))
     cosines, sines = [], []
     for order, field in enumerate(between.fields):
         own, turned = field * forces, order * at
