@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
 
@@ -28,6 +29,7 @@ from workbench.model.discretisation import ACCURACY, Discretisation
 def diagnose(
     campaign: Campaign, *, accuracy: float | Discretisation = ACCURACY,
     progress: Progress = no_progress, jobs: int = 1, executor: Executor | None = None, minutes: float | None = None,
+    clock: Callable[[], float] = time.perf_counter,
 ) -> Diagnosis:
     """Explain or describe the mismatch between recordings and models.
 
@@ -39,6 +41,7 @@ def diagnose(
         jobs: processes that share the work, this one among them.
         executor: shares the work in place of the other processes, `jobs` tasks at a time.
         minutes: after which no task begins; None for no limit.
+        clock: of these minutes, in s; `time.process_time` where other programs share the processor.
 
     Raises:
         InputError: fewer than one job, states that cannot be modelled as they are stated, or recordings that seem to
@@ -57,7 +60,7 @@ def diagnose(
             workers.share(DiagnosisSearch.of_campaign, campaign, accuracy)
         made = device_model(campaign, accuracy=accuracy)
         try:
-            return diagnose_model(made, progress=progress, workers=workers, minutes=minutes)
+            return diagnose_model(made, progress=progress, workers=workers, minutes=minutes, clock=clock)
         except WorkerEnded as error:
             raise RuntimeError(f"{error}; the diagnosis is not finished, and has to be made again, with fewer jobs if "
                                "memory is short") from error
@@ -66,11 +69,11 @@ def diagnose(
 @one_thread()
 def diagnose_model(
     model: Model, *, progress: Progress = no_progress, workers: Workers | None = None,
-    minutes: float | None = None,
+    minutes: float | None = None, clock: Callable[[], float] = time.perf_counter,
 ) -> Diagnosis:
     """:func:`diagnose` of a model, on one thread. The last digits depend on the number of threads."""
     started = time.perf_counter()
-    search = DiagnosisSearch(model, progress, until=None if minutes is None else started + 60.0 * minutes,
+    search = DiagnosisSearch(model, progress, until=None if minutes is None else clock() + 60.0 * minutes, clock=clock,
                              criteria=Criteria(mesh=model.accuracy if isinstance(model.accuracy, float) else 0.0))
     try:
         check_assignment(model.campaign, search.models.stated[:len(model.campaign.fitted)])

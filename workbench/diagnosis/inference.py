@@ -79,13 +79,14 @@ CONTINUED = 3
 class DiagnosisSearch:
     """A search and its state; :meth:`run` performs all of it.
 
-    Each worker has its own. It ends early, with its results so far, if interrupted or at `until` (`time.perf_counter`).
+    Each worker has its own. It ends early, with its results so far, if interrupted or at `until` of its `clock` (s).
     """
 
     model: Model
     progress: Progress = no_progress
     trace: Callable[[str], None] | None = None
     until: float | None = None
+    clock: Callable[[], float] = time.perf_counter
     criteria: Criteria = field(default_factory=Criteria)
     started: float = field(default_factory=time.perf_counter)
     interrupted: bool = False
@@ -127,7 +128,7 @@ class DiagnosisSearch:
     @property
     def is_over(self) -> bool:
         """Whether the search has to end."""
-        return self.interrupted or (self.until is not None and time.perf_counter() > self.until)
+        return self.interrupted or (self.until is not None and self.clock() > self.until)
 
     def run(self, workers: Workers | None = None) -> Found:
         """The explanations of the recordings.

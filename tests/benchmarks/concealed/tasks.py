@@ -24,7 +24,7 @@ from workbench.report.diagnosis import diagnosis_record
 #: The file of what is concealed, in a folder of trials.
 TRUTH = "truth.json"
 
-#: A diagnosis begins nothing new after so many minutes, and says what it knows by then.
+#: A diagnosis begins nothing new after so many minutes of its processor's time, and says what it knows by then.
 MINUTES = 20.0
 
 
@@ -70,7 +70,8 @@ def add_truth(path: Path, name: str, truth: dict[str, Any]) -> None:
 
 def diagnose_one(trial: Path) -> dict[str, Any]:
     """The record of the diagnosis of a trial."""
-    return diagnosis_record(diagnose(read_campaign(trial / "campaign.toml"), minutes=MINUTES))
+    return diagnosis_record(diagnose(read_campaign(trial / "campaign.toml"), minutes=MINUTES,
+                                     clock=time.process_time))
 
 
 def diagnose_into(result: Path, mark: Path, trial: Path, diagnosing: Callable[[Path], dict[str, Any]]) -> str:
