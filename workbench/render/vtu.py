@@ -43,7 +43,11 @@ def write_vtu(fields: Fields, path: Path) -> Path:
 
     flat = np.column_stack([_equally_spaced(mesh, mesh.points), np.zeros(len(mesh.points))])
     along_r, along_z = np.array(Lagrange(mesh.order).indices).T
-    grid = pyvista.UnstructuredGrid({pyvista.CellType.LAGRANGE_QUADRILATERAL: mesh.cells[:, along_r, along_z]}, flat)
+    nodes = mesh.cells[:, along_r, along_z]
+    # Each cell begins with the number of its nodes.
+    cells = np.column_stack([np.full(len(nodes), nodes.shape[1]), nodes])
+    kinds = np.full(len(nodes), pyvista.CellType.LAGRANGE_QUADRILATERAL)
+    grid = pyvista.UnstructuredGrid(cells.ravel(), kinds, flat)
     for name, at_nodes in arrays.items():
         # A field without any value has no range, and readers would report an error.
         if np.isnan(at_nodes).all():
