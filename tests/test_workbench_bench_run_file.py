@@ -223,7 +223,7 @@ def test_other_programs_read_a_run_file_and_its_checksums(tmp_path: Path) -> Non
             assert file[name].fletcher32, name
         place = file["points/frequency"].id.get_chunk_info(0).byte_offset
     path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1:])
-    with h5py.File(path, "r") as file, pytest.raises(OSError, match="filter returned failure"):
+    with h5py.File(path, "r") as file, pytest.raises(OSError, match=r"Fletcher32|filter returned failure"):
         file["points/frequency"][()]
     # A program that writes into the file removes the digest.
     path.write_bytes(whole)

@@ -83,8 +83,10 @@ def naming(path: Path) -> Iterator[None]:
 
 def _number(error: OSError) -> int | None:
     """The system's number of an error, also from a library's message."""
-    found = re.search(r"errno = (\d+)", str(error)) if error.errno is None else None
-    return int(found.group(1)) if found else error.errno
+    if error.errno is not None:
+        return error.errno
+    found = re.search(r"errno = (\d+)", str(error))
+    return int(found[1]) if found else None
 
 
 def remedy(error: OSError, output: Path | None = None) -> str:
