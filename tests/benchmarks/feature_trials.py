@@ -98,7 +98,8 @@ def score(folder: Path, truth: Path) -> None:
         SystemExit: no outcomes.
     """
     known = json.loads(truth.read_text())
-    answers = [judged(path.stem, known[path.stem], json.loads(path.read_text())) for path in sorted(folder.glob("*.json"))]
+    answers = [judged(path.stem, known[path.stem], json.loads(path.read_text()))
+               for path in sorted(folder.glob("*.json"))]
     if not answers:
         raise SystemExit(f"{folder}: no outcomes NNNN.json; expected the folder of a commit that `run` has written")
     print(*answers, "", sep="\n")
