@@ -49,6 +49,7 @@ from concealed.commitment import contradictions, seal  # noqa: E402
 from concealed.mechanisms import CATALOGUED, CLASHING, NONE, OUTSIDE  # noqa: E402
 from concealed.scoring import read_outcomes, score, table  # noqa: E402
 from concealed.tasks import diagnose_into, diagnose_one, failed, make_one, write_outcome  # noqa: E402
+from concealed.trial import Truth, make_trial  # noqa: E402
 
 from workbench.jobs.process import WorkerEnded  # noqa: E402
 from workbench.jobs.workers import Task, begin_workers, check_jobs  # noqa: E402
@@ -80,11 +81,13 @@ def _pair(rng: np.random.Generator) -> tuple[str, ...]:
             return found
 
 
-def make(folder: Path, first: int, trials: int, seed: int, jobs: int, part: str) -> None:
+def make(folder: Path, first: int, trials: int, seed: int, jobs: int, part: str, *,
+         mechanisms: Callable[[int], Iterator[tuple[str, ...]]] = schedule,
+         making: Callable[[int, tuple[str, ...], Path], Truth] = make_trial) -> None:
     """Write those of the trials from number `first` on that are not there yet."""
     folder.mkdir(parents=True, exist_ok=True)
-    pieces = ((f"{number:04d}", partial(make_one, folder.resolve(), number, seed, mechanism, part))
-              for number, mechanism in islice(enumerate(schedule(seed)), first, first + trials)
+    pieces = ((f"{number:04d}", partial(make_one, folder.resolve(), number, seed, mechanism, part, making))
+              for number, mechanism in islice(enumerate(mechanisms(seed)), first, first + trials)
               if not (folder / f"{number:04d}").exists())
     with begin_workers(jobs, seconds=60.0 * MAKING) as workers:
         for name, done in workers.completed(pieces):

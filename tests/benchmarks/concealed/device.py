@@ -46,6 +46,9 @@ CORNER = 3e-5
 #: Distance (m) from the edge of an open face within which the grid is finer: stress is singular there as well.
 TIP = 1e-5
 
+#: Share of the radius of a patch within which the grid is finer at its edge and below it.
+STEEP = 1.0 / 6.0
+
 PIEZO_CONSTANTS = ("density", "c11", "c12", "c13", "c33", "c44", "e31", "e33", "e15", "eps11", "eps33")
 
 
@@ -194,8 +197,15 @@ def body(values: Values, defects: Values, state: State) -> Body:
     ground = (metal, 0.0, a)
     if "clamp.normal" in defects:
         faces.append(Face(0.0, a, 0.0, 0.0, Load(defects["clamp.normal"], 0.0)))
+    if "patch.distance" in defects:
+        # Fields are steep at the edge of a patch that is moved, and below it.
+        distance, edge = defects["patch.distance"], 0.5 * defects["patch.diameter"]
+        near = (end + step * edge for end in (abs(distance - edge), distance + edge) for step in (-STEEP, 0.0, STEEP))
+        lines_r += [line for line in near if line > 0.5 * STEEP * edge]
+        lines_z += [metal + h - step * edge for step in (STEEP, 4.0 * STEEP)]
     if state.filling == "disc":
-        return Body(tuple(boxes), live, ground, tuple(faces), warps=warps(values, defects, state))
+        return Body(tuple(boxes), live, ground, tuple(faces), tuple(lines_r), tuple(lines_z),
+                    warps(values, defects, state))
 
     outer, cavity = values["substrate.radius"], values["cavity.radius"]
     z = 2.0 * metal + h

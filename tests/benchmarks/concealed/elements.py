@@ -43,11 +43,26 @@ _PIEZO = {
     "eps11": ((1.0, "fr", "fr"),),
     "eps33": ((1.0, "fz", "fz"),),
 }
-FORMS = {**FORMS, "piezo": {**FORMS["solid"], **_PIEZO}}
+#: A ceramic that varies around the axis, u_s along the circumference. An m behind a coefficient is a factor of the
+#: order m of a field, in e_tt = (u_r + m u_s) / r and the like.
+_TURNING = {
+    **_PIEZO,
+    "c11": ((1.0, "rr", "rr"), (1.0, "tt", "tt")), "c11 m": ((2.0, "tt", "ss"),), "c11 mm": ((1.0, "ss", "ss"),),
+    "c12": ((2.0, "rr", "tt"),), "c12 m": ((2.0, "rr", "ss"),),
+    "c13": ((2.0, "rr", "zz"), (2.0, "tt", "zz")), "c13 m": ((2.0, "ss", "zz"),),
+    "c33": ((1.0, "zz", "zz"),),
+    "c44": ((1.0, "rz", "rz"), (1.0, "sz", "sz")), "c44 m": ((-2.0, "sz", "uz/r"),), "c44 mm": ((1.0, "uz/r", "uz/r"),),
+    "c66": ((1.0, "rs", "rs"),), "c66 m": ((-2.0, "rs", "tt"),), "c66 mm": ((1.0, "tt", "tt"),),
+    "density": ((1.0, "ur", "ur"), (1.0, "uz", "uz"), (1.0, "us", "us")),
+    "e31 m": ((2.0, "ss", "fz"),), "e15 m": ((-2.0, "sz", "phi/r"),), "e15 mm": ((2.0, "uz/r", "phi/r"),),
+    "eps11 mm": ((1.0, "phi/r", "phi/r"),),
+}
+FORMS = {**FORMS, "piezo": {**FORMS["solid"], **_PIEZO}, "turning": _TURNING}
 
 #: The unknowns of each kind, in the order of the columns of its matrices.
 UNKNOWNS: Mapping[str, tuple[str, ...]] = {
     "solid": ("ur", "uz"), "piezo": ("ur", "uz", "phi"), "liquid": ("p",), "viscous": ("ur", "uz", "q"),
+    "turning": ("ur", "uz", "phi", "us"),
 }
 
 
@@ -95,6 +110,8 @@ def matrices(kind: str, order: int, r_nodes: Real, z_nodes: Real) -> dict[str, R
         "ur": {"ur": plain}, "uz": {"uz": plain}, "rr": {"ur": d_r}, "tt": {"ur": over_r}, "zz": {"uz": d_z},
         "rz": {"ur": d_z, "uz": d_r}, "div": {"ur": d_r + over_r, "uz": d_z}, "fr": {"phi": d_r}, "fz": {"phi": d_z},
         "p": {"p": plain}, "pr": {"p": d_r}, "pz": {"p": d_z},
+        "us": {"us": plain}, "ss": {"us": over_r}, "sz": {"us": d_z}, "rs": {"us": d_r - over_r},
+        "uz/r": {"uz": over_r}, "phi/r": {"phi": over_r},
     }
     sizes = dict.fromkeys(UNKNOWNS[kind], nodes)
     if kind == "viscous":

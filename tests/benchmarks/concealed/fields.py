@@ -98,7 +98,7 @@ def scales(name: str, field: Mapping[str, Real]) -> tuple[Real, Real]:
     """By what a field multiplies the real and the imaginary part of the coefficient called `name`, (cells,) each."""
     stiff, heavy, lossy = (1.0 + field[kind] for kind in KINDS)
     match name:
-        case "c11" | "c12" | "c13" | "c33" | "c44":
+        case "c11" | "c12" | "c13" | "c33" | "c44" | "c66":
             return stiff, stiff * lossy
         case "compressibility":
             return 1.0 / stiff, lossy / stiff

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from concealed.design import ABSOLUTE, RELATIVE, REMOUNTED_BY, Design
+from concealed.design import ABSOLUTE, REMOUNTED_BY, Design
 from concealed.device import EPOXY, GEL, GLASS, PIEZO_CONSTANTS, PLA, PZT, State
 from numpy.typing import NDArray
 
@@ -40,7 +40,7 @@ def write(folder: Path, design: Design, states: Sequence[State], spectra: Mappin
             lossy = "" if loss is None else f", loss = {loss!r}"
             lines.append(f'{key} = {{ value = {nominal[f"{name}.{key}"]!r}{lossy}, unit = "{unit}" }}')
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    for chip in ("disc", "chip"):
+    for chip in {"disc" if state.filling == "disc" else "chip" for state in states}:
         (folder / f"{chip}.toml").write_text(_chip(design, chip), encoding="utf-8")
     (folder / "campaign.toml").write_text(_campaign(design, states), encoding="utf-8")
 
@@ -100,8 +100,9 @@ def _campaign(design: Design, states: Sequence[State]) -> str:
         if state.held_out:
             lines.append("held_out = true")
     lines += ["", "[known]"]
-    lines += [f'"{name}" = "{100.0 * share:g} %"' for name, share in RELATIVE.items()]
-    lines += [f'"{name}" = "{size:g} {unit}"' for name, (size, unit) in ABSOLUTE.items()]
+    for name, size in design.prior.items():
+        share = 100.0 * size / abs(design.nominal[name] or math.nan)
+        lines.append(f'"{name}" = "{f"{size:g} {ABSOLUTE[name][1]}" if name in ABSOLUTE else f"{share:g} %"}"')
     if design.remounted and BETWEEN_IS_READ:
         lines += ["", "[between]", f'"couplant.thickness" = "{100.0 * REMOUNTED_BY:g} %"']
     return "\n".join(lines) + "\n"

@@ -304,12 +304,6 @@ RATES: tuple[tuple[str, Callable[[Outcome], bool], Callable[[Outcome], bool]], .
 
 def rates(columns: Mapping[str, Sequence[Outcome]]) -> None:
     """Print the rates, each with its count and its 95 % interval (Wilson 1927)."""
-    def cell(count: int, total: int) -> str:
-        if not total:
-            return "-"
-        low, high = wilson(count, total)
-        return f"{count}/{total} {100.0 * count / total:5.1f} ({100.0 * low:.0f} to {100.0 * high:.0f})"
-
     print(f"{'%':60}" + "".join(f"{name:>30}" for name in columns))
     for label, of, counts in RATES:
         cells = ([counts(o) for o in outcomes if of(o)] for outcomes in columns.values())
@@ -317,6 +311,14 @@ def rates(columns: Mapping[str, Sequence[Outcome]]) -> None:
     named = [[o for o in outcomes if o.first] for outcomes in columns.values()]
     print(f"{'95 % intervals of what is named that hold the truth':60}" + "".join(
         f"{cell(sum(o.covered for o in each), sum(o.intervals for o in each)):>30}" for each in named))
+
+
+def cell(count: int, total: int) -> str:
+    """A rate in percent with its count and its 95 % interval."""
+    if not total:
+        return "-"
+    low, high = wilson(count, total)
+    return f"{count}/{total} {100.0 * count / total:5.1f} ({100.0 * low:.0f} to {100.0 * high:.0f})"
 
 
 def wilson(count: int, total: int) -> tuple[float, float]:

@@ -59,8 +59,8 @@ def assemble(body: Body, cells: Grid, *, order: int = 5, uneven: Inhomogeneity |
         a, b = np.repeat(np.arange(p + 1), p + 1), np.tile(np.arange(p + 1), p + 1)
         return (i[:, None] * p + a) * rows + j[:, None] * p + b
 
-    node_z = _nodes(cells.z, order)
-    node_r = _nodes(cells.r, order)
+    node_z = node_positions(cells.z, order)
+    node_r = node_positions(cells.r, order)
     carrying = {"ur": ("solid", "piezo", "viscous"), "uz": ("solid", "piezo", "viscous"), "phi": ("piezo",),
                 "p": ("liquid",), "q": ("viscous",)}
     number: dict[str, Integers] = {}
@@ -75,8 +75,8 @@ def assemble(body: Body, cells: Grid, *, order: int = 5, uneven: Inhomogeneity |
         if name == "p":
             used &= ~_rim(kind_of, order)
         if name == "phi":
-            used &= ~_electrode(body.ground, node_r, node_z)
-            live = used & _electrode(body.live, node_r, node_z)
+            used &= ~on_electrode(body.ground, node_r, node_z)
+            live = used & on_electrode(body.live, node_r, node_z)
             used &= ~live
         numbered = np.full(used.shape, -1)
         numbered[used] = count + np.arange(np.count_nonzero(used))
@@ -100,13 +100,15 @@ def assemble(body: Body, cells: Grid, *, order: int = 5, uneven: Inhomogeneity |
     return Model(tuple(blocks), count + 1)
 
 
-def _nodes(lines: Real, order: int) -> Real:
+def node_positions(lines: Real, order: int) -> Real:
+    """Nodes (m) of cells between neighbouring lines."""
     reference = 0.5 * (1.0 + line(order, order + 2).nodes)
     inner = lines[:-1, None] + np.diff(lines)[:, None] * reference[:-1]
     return np.append(inner.ravel(), lines[-1])
 
 
-def _electrode(disc: tuple[float, float, float], r: Real, z: Real) -> NDArray[np.bool_]:
+def on_electrode(disc: tuple[float, float, float], r: Real, z: Real) -> NDArray[np.bool_]:
+    """Which nodes on lines r (n,) and z (m,) belong to an electrode: (n, m)."""
     height, inner, outer = disc
     return ((r > inner - SAME) & (r < outer + SAME))[:, None] & (np.abs(z - height) < SAME)[None, :]
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from concealed.scoring import FAILED
-from concealed.trial import make_trial
+from concealed.trial import Truth, make_trial
 
 from workbench.campaign.campaign import read_campaign
 from workbench.diagnosis.appraisal import diagnose
@@ -44,12 +44,13 @@ def claimed(mark: Path) -> Iterator[bool]:
         yield is_mine
 
 
-def make_one(folder: Path, number: int, seed: int, mechanism: tuple[str, ...], part: str) -> str:
+def make_one(folder: Path, number: int, seed: int, mechanism: tuple[str, ...], part: str,
+             making: Callable[[int, tuple[str, ...], Path], Truth] = make_trial) -> str:
     """Write a trial and its truth, unless it is there; returns a line about it."""
     trial, unfinished = folder / f"{number:04d}", folder / f".{number:04d}"
     started = time.perf_counter()
     shutil.rmtree(unfinished, ignore_errors=True)
-    found = make_trial(1000 * seed + number, mechanism, unfinished)
+    found = making(1000 * seed + number, mechanism, unfinished)
     add_truth(folder / TRUTH, trial.name, {"part": part, **found.to_dict()})
     unfinished.rename(trial)
     return (f"{number:04d} {' and '.join(mechanism)}: {found.detectability:.1f} sigmas, "
