@@ -68,7 +68,7 @@ def main() -> int:
     if done.returncode:
         return done.returncode
     listed = json.loads(subprocess.run([*pip, "list", "--format", "json"], check=True, stdout=subprocess.PIPE).stdout)
-    installed = {package["name"].lower(): package["version"] for package in listed}
+    installed = {re.sub(r"[-_.]+", "-", package["name"]).lower(): package["version"] for package in listed}
     for name, bound in sorted(bounds.items()):
         print(f"{name} {installed[name]} (requirement: {bound} or later)")
     sys.stdout.flush()
