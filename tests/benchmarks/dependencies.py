@@ -1,4 +1,4 @@
-"""`./check` with the oldest or the newest version of each dependency.
+"""The tests of `./check` with the oldest or the newest version of each dependency.
 
     .venv/bin/python tests/benchmarks/dependencies.py oldest --into FOLDER [arguments of pytest]
     .venv/bin/python tests/benchmarks/dependencies.py newest --into FOLDER [arguments of pytest]
@@ -7,7 +7,7 @@ FOLDER becomes a virtual environment of the Python that runs this file (2.5 GB);
 installs exactly the lower bound of each requirement in `pyproject.toml`: pip ends the command if a bound is not a
 version, or if two bounds exclude each other. The packages that these require are the newest that fit. `newest` installs
 the newest versions that fit together. The checkout is installed in place. The command prints the versions, then
-`./check` runs in this environment. The status is that of pip or `./check`.
+`./check` runs its tests in this environment, without lint and types. The status is that of pip or `./check`.
 
 Only benchmarks use the extra `oracle`, so it is not installed.
 """
