@@ -133,7 +133,7 @@ class FitSearch:
             return replace(full, jacobian=full.jacobian[:, free])
 
         minimum = minimise(reduced, x[free], low=self.low[free], high=self.high[free], scale=self.scale[free],
-                           inequalities=self._conditions(x, free), radius=radius, tolerance=tolerance, limit=limit,
+                           inequalities=self.conditions(x, free), radius=radius, tolerance=tolerance, limit=limit,
                            refused=REFUSED)
         self.refusals.extend(minimum.refusals)
         return replace(minimum, x=whole(minimum.x))
@@ -141,10 +141,10 @@ class FitSearch:
     def inside(self, x: Real) -> Real:
         """x (p,), or a point near it strictly inside the admissible set."""
         result, free = x.copy(), self.free
-        result[free] = interior(x[free], self.low[free], self.high[free], self._conditions(x, free))
+        result[free] = interior(x[free], self.low[free], self.high[free], self.conditions(x, free))
         return result
 
-    def _conditions(self, x: Real, free: NDArray[np.int64]) -> list[Inequality]:
+    def conditions(self, x: Real, free: NDArray[np.int64]) -> list[Inequality]:
         """The inequalities of the parameters `free`, with others at x (p,)."""
         held = x.copy()
         held[free] = 0.0
