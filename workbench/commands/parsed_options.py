@@ -23,6 +23,7 @@ from workbench.files.ownership import Outputs
 from workbench.files.quantities import parse_quantity
 from workbench.model.discretisation import Discretisation, discretisation
 from workbench.model.drive import Drive, parse_drive, wired
+from workbench.model.job_size import check_points
 from workbench.simulation.warm import WarmUp
 
 if TYPE_CHECKING:
@@ -52,9 +53,11 @@ def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
     """The model of the options.
 
     Raises:
-        InputError: a band that does not rise, a frequency outside it, an accuracy without a mesh, or an invalid drive.
+        InputError: a band that does not rise, a frequency outside it, a number of frequencies without room in memory,
+            an accuracy without a mesh, or an invalid drive.
     """
     band = band_option(options, chip)
+    check_points(options.points, source="command line", field="--points")
     at = None if options.at is None else parse_operating_point(options.at)
     if isinstance(at, float) and not band[0] <= at <= band[1]:
         raise InputError("command line", "--at", options.at, f"a frequency within the band the mesh is made for, "

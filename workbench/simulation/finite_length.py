@@ -291,7 +291,7 @@ def finite_length(
     measure = stated_measure(chip)
     device = fill(chip, state, registry_of(chip, registry))
     span = band_of(chip, band)
-    frequencies = frequency_grid(span, points)
+    frequencies = frequency_grid(span, points, source="finite_length")
     posed = build(device, band=span, accuracy=accuracy)
     section = DrivenSection.of(posed, frequencies)
     driven = driven_length(section, measure.length, progress)

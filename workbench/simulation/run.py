@@ -243,11 +243,11 @@ def simulate(
     check_operating_point(chip.operating_point if at is None else None, band or chip.band, chip.file)
     at, drive, lap = at if at is None or isinstance(at, str) else float(at), wired(drive, chip), Laps()
     device = fill(chip, state, registry := _assuming(registry, assumed_losses, inviscid))
-    _check_relative_error(relative_error)
+    _check_relative_error(relative_error, source="simulate")
     if chip.features and full:
         raise InputError(chip.file, "features", f"{len(chip.features)} in a spectrum of full solves", "reduced models "
                          "for a chip with features (without --full): they couple the orders of its fields")
-    frequencies = frequency_grid(band_of(chip, band), points)
+    frequencies = frequency_grid(band_of(chip, band), points, source="simulate")
     progress("mesh", 0.0)
     span, of_mesh, energy = (float(frequencies[0]), float(frequencies[-1])), None, None
     parts = [part_of(feature) for feature in chip.features]
@@ -316,11 +316,11 @@ def energy_spectrum(
         NotConverged, NotEnriched: as of :func:`simulate`.
     """
     expect(chip, Chip, reader="read_chip", source="energy_spectrum", field="chip")
-    _check_relative_error(relative_error)
+    _check_relative_error(relative_error, source="energy_spectrum")
     device = fill(chip, state, _assuming(registry, True, inviscid))
     if not device.is_wet:
         raise InputError("energy_spectrum", "state", device.state.name, "a state with a liquid in its cavity")
-    frequencies = frequency_grid(band_of(chip, band), points)
+    frequencies = frequency_grid(band_of(chip, band), points, source="energy_spectrum")
     problem = build(device, band=(float(frequencies[0]), float(frequencies[-1])), accuracy=accuracy)
     model, solution = reduced(assemble(problem.mesh, problem.terms), frequencies, problem.values,
                               tolerance=relative_error, skip_singular=True, progress=progress)
@@ -340,9 +340,9 @@ def _check_operation(chip: Chip, frequency: float | None, drive: Drive | None, *
     check_drive(drive, source=source)
 
 
-def _check_relative_error(relative_error: float) -> None:
+def _check_relative_error(relative_error: float, *, source: str) -> None:
     if not 0.0 < relative_error < 1.0:
-        raise InputError("simulate", "relative_error", relative_error, "a relative error between 0 and 1")
+        raise InputError(source, "relative_error", relative_error, "a relative error between 0 and 1")
 
 
 def _mesh_error(
