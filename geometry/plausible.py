@@ -66,6 +66,9 @@ FEATURES: Mapping[str, tuple[Range, str]] = {
     "stiffness": (Range(1.0, 1e9, "a wire or a support"), "stiffness"),
     "diameter": (Range(10e-6, 50e-3, "the patch of a feature"), "length")}
 
+#: Largest mass of a feature over that of its layer. Doubled, a drop of solder as heavy as its disc passes.
+HEAVIEST = 0.5
+
 #: Names in ``unusual`` of the depth of a liquid and of the length of a straight chip, which are not dimensions.
 FILL_KEY, LENGTH_KEY = "fill", "length"
 
@@ -141,6 +144,20 @@ def check_length(name: str, value: float, *, source: str, field: str, unusual: S
     # Values that are not lengths are rejected elsewhere.
     if usual is not None and value > 0.0 and name not in unusual and value not in usual:
         raise implausible(name, value, usual, "length", source, field)
+
+
+def check_masses(features: Sequence[Feature], masses: Mapping[str, float], unusual: Sequence[str], file: str) -> None:
+    """Check that features are lighter than the layers below them. `masses` (kg) are by region.
+
+    Raises:
+        InputError: the first feature that is heavier than :data:`HEAVIEST` allows, with both masses.
+    """
+    for i, feature in enumerate(features):
+        name, whole = f"features[{i}].mass", masses.get(feature.region, math.inf)
+        if feature.mass > HEAVIEST * whole and name not in unusual:
+            usual = Range(FEATURES["mass"][0].low, HEAVIEST * whole,
+                          f"a mass on {feature.region!r}, which itself has {as_text(whole, 'mass')}")
+            raise implausible(name, feature.mass, usual, "mass", file)
 
 
 def check_band(layers: Sequence[Layer], band: tuple[float, float], source: str, field: str = "chip.band") -> None:

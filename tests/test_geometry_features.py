@@ -78,6 +78,18 @@ def test_a_mistake_is_named(disc: Path, old: str, new: str, field: str, words: s
     assert (error.value.field, words in str(error.value)) == (field, True), str(error.value)
 
 
+def test_a_feature_is_lighter_than_its_layer(disc: Path) -> None:
+    """The disc has the mass of a cylinder: density 7862 kg/m^3, 25 mm across, 2.02 mm thick."""
+    chip = with_features(disc, SOLDER.replace('"5 mg"', '"9 g"'))
+    whole = 1e3 * 7862.0 * math.pi * 12.5e-3**2 * 2.02e-3
+    with pytest.raises(InputError, match=rf"features\[0\].mass: received '9 g'.* to {whole / 2:.4g} g, .*'transducer', "
+                                         rf"which itself has {whole:.4g} g.* unusual = .*'9 mg'"):
+        fill(chip)
+    assert fill(replace(chip, unusual=("features[0].mass",))).chip.features == chip.features
+    lighter = replace(chip.features[0], mass=0.49e-3 * whole)
+    assert fill(replace(chip, features=(lighter,))).chip.features == (lighter,)
+
+
 def test_a_straight_chip_has_none() -> None:
     chip = read_chip(CHIPS / "glass_channel.toml")
     with pytest.raises(InputError, match="straight"):
