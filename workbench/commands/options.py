@@ -247,8 +247,10 @@ def _chips(sub: argparse.ArgumentParser) -> None:
     text = "copy one of them, to begin with"
     copy = actions.add_parser("copy", help=text, description=text)
     copy.add_argument("name", metavar="NAME", help="of the list (must be given)")
-    copy.add_argument("-o", "--output", type=Path, metavar="FILE",
-                      help="file that does not exist yet, or a folder (default: NAME.toml in this folder)")
+    # A Path has no slash at its end.
+    copy.add_argument("-o", "--output", dest="target", default="./", metavar="FILE",
+                      help="file that does not exist yet, or a folder, which with a slash at its end need not exist "
+                           "(default: NAME.toml in this folder)")
 
 
 def _materials(sub: argparse.ArgumentParser) -> None:
