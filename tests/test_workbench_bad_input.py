@@ -250,9 +250,9 @@ COMMAND_MISTAKES: dict[str, tuple[list[str], list[str]]] = {
                       ["chip.toml", "state", "'filed'", "did you mean 'filled'"]),
     "field frequency outside the mesh's band": (
         ["render", "chip.toml", "--at", "2 MHz", "-o", "out"],
-        ["--at", "'2 MHz'", "within the band the mesh is made for, 300000 to 450000 Hz", "--from and --to"]),
+        ["--at", "'2 MHz'", "within the band the mesh is made for, 0.3 to 0.45 MHz", "--from and --to"]),
     "band reversed": (["simulate", "chip.toml", "--from", "450 kHz", "--to", "300 kHz", "-o", "out"],
-                      ["--from, --to", "450000 Hz to 300000 Hz", "a rising band"]),
+                      ["--from, --to", "0.45 to 0.3 MHz", "a rising band"]),
     "band without unit": (["mesh", "chip.toml", "--from", "300000"], ["--from", "'300000'", "Hz, kHz, MHz"]),
     "drive without unit": (["simulate", "chip.toml", "--drive", "10", "-o", "out"], ["--drive", "'10'", '"10 Vpp"']),
     "drive of the wrong unit": (["simulate", "chip.toml", "--drive", "10 V", "-o", "out"],
@@ -274,7 +274,7 @@ COMMAND_MISTAKES: dict[str, tuple[list[str], list[str]]] = {
     "output below a file": (["export", "chip.toml", "-o", "disc.csv/out"], ["--output", "a file is in the way"]),
     "bands that do not overlap": (
         ["compare", "disc.csv", "chip.toml", "--from", "1 MHz", "--to", "2 MHz", "-o", "out"],
-        ["disc.csv", "frequency", "300000 to 450000 Hz", "band of chip.toml, 1e+06 to 2e+06 Hz"]),
+        ["disc.csv", "frequency", "0.3 to 0.45 MHz", "band of chip.toml, 1 to 2 MHz"]),
     "recording and chip swapped": (["compare", "chip.toml", "disc.csv", "-o", "out"],
                                    ["recording", "'chip.toml'", "swapped", "disc.csv is the recording"]),
     "a chip in place of a recording": (["compare", "chip.toml", "chip.toml", "-o", "out"],
@@ -298,7 +298,7 @@ COMMAND_MISTAKES: dict[str, tuple[list[str], list[str]]] = {
                                     ["command line: --noise", "brings its own uncertainties"]),
     "a recording of no point in the band": (
         ["diagnose", "disc.csv", "--chip", "chip.toml", "--from", "1 MHz", "--to", "2 MHz", "-o", "out"],
-        ["disc.csv: frequency", "300000 to 450000 Hz", "1e+06 to 2e+06 Hz"]),
+        ["disc.csv: frequency", "0.3 to 0.45 MHz", "1 to 2 MHz"]),
     "a state that the recording's chip has not": (
         ["diagnose", "disc.csv", "--chip", "chip.toml", "--state", "filed", "-o", "out"],
         ["chip.toml", "state", "'filed'", "did you mean 'filled'"]),

@@ -131,5 +131,5 @@ def test_a_chip_without_a_length_and_a_round_one_are_refused(channel: Path) -> N
         wb.finite_length(wb.read_chip(channel))
     with pytest.raises(InputError, match=r"geometry.*straight"):
         wb.finite_length(wb.read_chip("geometry/chips/disc_20x2.toml"))
-    with pytest.raises(InputError, match="^finite_length: points: received 2"):
+    with pytest.raises(InputError, match=r"^finite_length: points: received 2"):
         wb.finite_length(wb.read_chip("geometry/chips/glass_channel.toml"), points=2)

@@ -33,6 +33,7 @@ from workbench.fem.capacitance import clamped_state
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import System
 from workbench.files.errors import InputError
+from workbench.files.quantities import frequency_text
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.problem import Problem, build, fill, registry_of
@@ -217,7 +218,7 @@ class FiniteLength(Shown):
         if frequency is None:
             frequency = self.peaks[0] if self.peaks else float(self.frequency[np.argmax(self.energy_density)])
         if not low <= frequency <= high:
-            raise InputError("profile", "frequency", frequency, f"a frequency within {low:g} to {high:g} Hz")
+            raise InputError("profile", "frequency", frequency, f"a frequency within {frequency_text(low, high)}")
         index = int(np.argmin(np.abs(self.frequency - frequency)))
         place = self._places
         density = self._density(index)

@@ -16,6 +16,7 @@ from materials.assumed import is_lossless
 from materials.kinds import Fluid
 from workbench.fem.solve import NotConverged, Solution, System
 from workbench.files.errors import InputError
+from workbench.files.quantities import frequency_text
 from workbench.jobs.progress import Progress
 from workbench.model.job_size import check_points
 from workbench.model.problem import FilledChip
@@ -72,7 +73,7 @@ def frequency_grid(band: tuple[float, float], points: int, *, source: str) -> Re
     low, high = band
     check_points(points, source=source)
     if not 0.0 < low < high < np.inf:
-        raise InputError(source, "band", f"{low:g} to {high:g} Hz", "a rising band of positive frequencies")
+        raise InputError(source, "band", frequency_text(low, high), "a rising band of positive frequencies")
     return np.linspace(low, high, points)
 
 
