@@ -67,7 +67,8 @@ def test_features_are_read_and_written(disc: Path) -> None:
     ('"5 mg"', '"0 mg"', "features[0].mass", "above zero"),
     ('"5 mg"', '"5 mm"', "features[0].mass", "mg"),
     ('"5 mg"', '"-5 mg"', "features[0].mass", "'-5 mg'"),
-    ('mass = "5 mg"', "", "features[0].mass", "mass with its unit"),
+    ('mass = "5 mg"', "", "features[0].mass", "missing; expected a mass with its unit"),
+    ('distance = "9 mm"', "", "features[0].distance", "missing; expected a length with its unit"),
     ('mass = "5 mg"', 'stiffness = "1 N/m"', "features[0].stiffness", "mass"),
     ('mass = "5 mg"', 'mass = "5 mg"\nloss = 0.1', "features[0].loss", "mass"),
     ('distance = "9 mm"', 'radius = "9 mm"', "features[0].radius", "distance"),
@@ -76,6 +77,7 @@ def test_a_mistake_is_named(disc: Path, old: str, new: str, field: str, words: s
     with pytest.raises(InputError) as error:
         with_features(disc, SOLDER.replace(old, new))
     assert (error.value.field, words in str(error.value)) == (field, True), str(error.value)
+    assert error.value.value is not None or not error.value.nearest, str(error.value)
 
 
 def test_a_feature_is_lighter_than_its_layer(disc: Path) -> None:

@@ -201,7 +201,7 @@ def test_a_received_value_that_is_long_is_cut() -> None:
 
 
 @pytest.mark.parametrize(("path", "message"), [
-    (None, r"write_spectrum: path: received None; expected the path of a file to write"),
+    (None, r"write_spectrum: path: missing; expected the path of a file to write"),
     (EXAMPLES, r"write_spectrum: path: received '.*examples'; expected the path of a file .*spectrum\.csv.*a folder"),
 ])
 def test_a_spectrum_is_written_to_a_file_only(path: object, message: str) -> None:

@@ -137,7 +137,7 @@ def test_a_default_stands_in_for_what_a_table_lacks(table: FileTable) -> None:
     (lambda t: t.table("inner").text("name"), "inner.name", None, "a text"),
     (lambda t: t.tables("inner", expected="tables [[inner]]"), "inner", {"kind": "pzt"}, "tables [[inner]]"),
     (lambda t: t.tables("rows", expected="tables")[1].text("name"), "rows[1].name", 2, "a text"),
-    (lambda t: t.required("nam", "a name"), "nam", None, "a name; did you mean 'name'"),
+    (lambda t: t.required("nam", "a name"), "nam", None, "a name"),
     (lambda t: t.table("inner").only(("name", "king")), "inner.kind", "kind", "one of king, name; did you mean 'king'"),
     (lambda t: t.only(("size",), renamed={"name": "size"}), "name", "name", "one of size; 'name' was renamed to"),
     (lambda t: FileTable.of(3, source=t.source, field="fit"), "fit", 3, "a table"),
@@ -150,6 +150,11 @@ def test_a_mistake_in_a_table_is_named(
     error = caught.value
     assert (error.source, error.field, error.value) == (table.source, field, value)
     assert expected in str(error)
+
+
+def test_a_missing_key_is_named_as_missing() -> None:
+    with pytest.raises(InputError, match=r"^a\.toml: distance: missing; expected a length$"):
+        FileTable.made("a.toml", {"diameter": "2 mm"}).required("distance", "a length")
 
 
 def test_a_full_disk_is_an_error_with_file_and_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

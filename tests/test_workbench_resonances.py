@@ -215,7 +215,7 @@ def test_what_one_branch_cannot_be_fitted_to_is_said(spectrum: wb.Spectrum, mess
     ({"band": (1.05e6, 1e6)}, "band: received .*; expected the lower frequency first"),
     ({"band": 1e6}, "band: received 1000000.0; expected two frequencies"),
     ({"band": "1 MHz"}, "band: received '1 MHz'; expected two frequencies"),
-    ({"band": (1e6, None)}, "band: received None; expected a frequency"),
+    ({"band": (1e6, None)}, "band: missing; expected a frequency"),
 ])
 def test_a_place_that_is_not_of_the_spectrum_is_said(more: dict[str, Any], message: str) -> None:
     with pytest.raises(wb.InputError, match=message):
