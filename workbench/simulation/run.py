@@ -281,7 +281,8 @@ def simulate(
     lap("modes of the peaks")
     pattern = None
     if chip.features and device.is_wet:
-        pattern = cavity_pattern(shot.problem, shot.solution, parts, drive, progress)
+        pattern = cavity_pattern(shot.problem, shot.solution, parts, drive, progress=progress,
+                                 forces=None if shot.traps is None else shot.traps.forces)
         more = (*more, str(pattern))
         lap("pattern around the axis")
     left_out = tuple(map(float, np.setdiff1d(frequencies, found.frequency)))
