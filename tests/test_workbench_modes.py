@@ -14,11 +14,13 @@ from support import layer_text
 
 import workbench as wb
 from workbench.cli import main
+from workbench.fem.energy import by_place
 from workbench.fem.modes import ModesNotConverged, ReducedModes, eigenmodes
 from workbench.fem.operators import assemble
 from workbench.fem.solve import System
 from workbench.files.errors import InputError
 from workbench.model.problem import build, fill
+from workbench.physics.term import Integral, Monomial
 from workbench.render.mode_above import draw_mode_above, has_view_above
 from workbench.render.sections import animate_mode
 from workbench.results.circuit import FittedNumber, FittedResonance
@@ -111,6 +113,14 @@ def test_shares_add_up_and_higher_orders_are_not_driven(disc: wb.Chip) -> None:
     assert "order 1" in str(next(mode for mode in found.modes if mode.order == 1))
     assert [mode.frequency for mode in found.modes] == sorted(mode.frequency for mode in found.modes)
     assert "MHz" in repr(found)
+
+
+def test_losses_count_for_the_region_that_a_part_lies_in() -> None:
+    places = ("cavity", "cavity@sidewall", "cavity|substrate", "cavity@sidewall#0", "substrate")
+    integrals = [Integral(Monomial(1.0, 0), place, ()) for place in places]
+    found = by_place(integrals, np.array([[1.0, 2.0, 4.0, 8.0, 0.0], [0.0, 1.0, 0.0, 1.0, 0.0]]))
+    assert {place: each.tolist() for place, each in found.items()} == {
+        "cavity": [11.0, 2.0], "cavity|substrate": [4.0, 0.0]}
 
 
 @pytest.mark.usefixtures("disc")

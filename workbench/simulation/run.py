@@ -27,6 +27,7 @@ from workbench.acoustics.fields import Fields, fields
 from workbench.acoustics.forces import particle_forces
 from workbench.acoustics.traps import TrapReport, barrier_words, find_traps
 from workbench.fem.capacitance import Capacitance, capacitance
+from workbench.fem.energy import by_place
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import Solution, System
 from workbench.files.errors import InputError, expect
@@ -445,11 +446,8 @@ def check_mesh(problem: Problem, frequency: float) -> None:
 def loss_budget(solution: Solution, voltage: float) -> tuple[dict[str, float], float]:
     """Power (W) by place of the loss, and its closure. The closure is the relative difference of their sum from the
     electrical input power. `voltage` is the amplitude at the electrodes (V); the solution is at one frequency."""
-    parts = solution.dissipation()[0] * voltage**2
-    losses: dict[str, float] = {}
-    for integral, power in zip(solution.operators.integrals, parts, strict=True):
-        if power != 0.0:
-            losses[integral.place] = losses.get(integral.place, 0.0) + float(power)
+    powers = by_place(solution.operators.integrals, solution.dissipation() * voltage**2)
+    losses = {place: float(power[0]) for place, power in powers.items()}
     supplied = float(solution.input_power()[0]) * voltage**2
     return losses, abs(sum(losses.values()) / supplied - 1.0) if supplied else 0.0
 
