@@ -53,9 +53,10 @@ def draw_pattern(pattern: CavityPattern, path: Path) -> Path:
 
 
 def _on_raster(radius: float, height: float, values_at: Callable[[Real, Real], Real]) -> Real:
-    """Values at places (n, 2) and angles (a,) on a square (m, m).
+    """Values at places and angles on a square (m, m).
 
-    It is at a `height`; values beyond the `radius` of the cavity are NaN.
+    The square is at a `height` (m), with NaN beyond the `radius` (m) of the cavity. `values_at` gives the values (n, a)
+    at places (n, 2) in m and angles (a,) in rad.
     """
     ends = np.linspace(-radius, radius, _POINTS)
     x, y = np.meshgrid(ends, ends)
