@@ -28,13 +28,13 @@ def main() -> None:
     chip = wb.read_chip(DOCS.parent / "geometry" / "chips" / "acevedo_2026_chip.toml")
     drive = VoltageDrive(10.0)
     shot = wb.snapshot(chip, "filled", 1.0304e6, drive=drive, accuracy=2e-2)
-    pattern = cavity_pattern(shot.problem, shot.solution, [part_of(SOLDER)], drive)
-    print(pattern)
     assert shot.traps is not None
-    for trap in pattern.traps(shot.traps.forces):
+    pattern = cavity_pattern(shot.problem, shot.solution, [part_of(SOLDER)], drive, forces=shot.traps.forces)
+    print(pattern)
+    for trap in pattern.traps:
         angle = "a ring" if trap.angle is None else f"{math.degrees(trap.angle):.0f} deg"
         print(f"r {1e3 * trap.radius:.3f} mm, z {1e3 * trap.height:.3f} mm, {angle}, {1e15 * trap.potential:.3g} fJ")
-    print(draw_pattern(pattern, shot.traps, DOCS / "images" / "pattern.png"))
+    print(draw_pattern(pattern, DOCS / "images" / "pattern.png"))
 
 
 if __name__ == "__main__":

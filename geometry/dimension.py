@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from workbench.files.errors import InputError
-from workbench.files.quantities import parse_quantity
+from workbench.files.quantities import message_unit, parse_quantity
 from workbench.files.tables import FileTable
 
 #: Lengths closer than this are the same length (metres): far below any tolerance, far above rounding.
@@ -19,13 +19,6 @@ ACROSS = ("radius", "half_width")
 
 #: Shapes that may be stated for a layer, and the dimension of each.
 SHAPES: Mapping[str, str] = {"draft": "angle", "barrel": "length", "bow": "length", "dome": "length"}
-
-#: Units of messages with their factors to SI, by kind of quantity, each from its least value on.
-MESSAGE_UNITS: Mapping[str, tuple[tuple[str, float, float], ...]] = {
-    "length": (("m", 1.0, 1.0), ("mm", 1e-3, 1e-3), ("um", 1e-6, 1e-6), ("nm", 1e-9, 0.0)),
-    "frequency": (("MHz", 1e6, 1e5), ("kHz", 1e3, 1e2), ("Hz", 1.0, 0.0)),
-    "mass": (("kg", 1.0, 1.0), ("g", 1e-3, 1e-3), ("mg", 1e-6, 0.0)),
-    "stiffness": (("kN/m", 1e3, 1e3), ("N/m", 1.0, 0.0)), "density": (("kg/m^3", 1.0, 0.0),)}
 
 
 @dataclass(frozen=True)
@@ -53,8 +46,7 @@ def as_text(value: float, kind: str, *, as_stated: bool = False) -> str:
     """A quantity as text for messages."""
     if kind == "temperature":
         return f"{value:.6g} K" if as_stated else f"{value - 273.15:.4g} degC"
-    units = MESSAGE_UNITS[kind]
-    unit, factor = next(((unit, factor) for unit, factor, least in units if abs(value) >= least), units[-1][:2])
+    unit, factor = message_unit(value, kind)
     return f"{value / factor:.4g} {unit}"
 
 

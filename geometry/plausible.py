@@ -18,6 +18,7 @@ from geometry.measure import ABOUT_AXIS, Measure, Straight
 from geometry.names import CAVITY, TRANSDUCER, role_of
 from geometry.parts import Layer, State
 from workbench.files.errors import InputError, choose
+from workbench.files.quantities import frequency_text
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,9 @@ FEATURES: Mapping[str, tuple[Range, str]] = {
     "mass": (Range(1e-9, 10e-3, "a drop of solder or glue"), "mass"),
     "stiffness": (Range(1.0, 1e9, "a wire or a support"), "stiffness"),
     "diameter": (Range(10e-6, 50e-3, "the patch of a feature"), "length")}
+
+#: Largest mass of a feature over that of its layer. Doubled, a drop of solder as heavy as its disc passes.
+HEAVIEST = 0.5
 
 #: Names in ``unusual`` of the depth of a liquid and of the length of a straight chip, which are not dimensions.
 FILL_KEY, LENGTH_KEY = "fill", "length"
@@ -143,6 +147,20 @@ def check_length(name: str, value: float, *, source: str, field: str, unusual: S
         raise implausible(name, value, usual, "length", source, field)
 
 
+def check_masses(features: Sequence[Feature], masses: Mapping[str, float], unusual: Sequence[str], file: str) -> None:
+    """Check that features are lighter than the layers below them. `masses` (kg) are by region.
+
+    Raises:
+        InputError: the first feature that is heavier than :data:`HEAVIEST` allows, with both masses.
+    """
+    for i, feature in enumerate(features):
+        name, whole = f"features[{i}].mass", masses.get(feature.region, math.inf)
+        if feature.mass > HEAVIEST * whole and name not in unusual:
+            usual = Range(FEATURES["mass"][0].low, HEAVIEST * whole,
+                          f"a mass on {feature.region!r}, which itself has {as_text(whole, 'mass')}")
+            raise implausible(name, feature.mass, usual, "mass", file)
+
+
 def check_band(layers: Sequence[Layer], band: tuple[float, float], source: str, field: str = "chip.band") -> None:
     """Check that a band (Hz) is usual for these layers.
 
@@ -153,8 +171,7 @@ def check_band(layers: Sequence[Layer], band: tuple[float, float], source: str, 
     thickness = next((layer.thickness.value for layer in layers if layer.role == TRANSDUCER), math.inf)
     top = OVERTONES * FREQUENCY_CONSTANT / thickness
     if low not in FREQUENCY or high not in FREQUENCY:
-        expected = (f"frequencies of {as_text(FREQUENCY.low, 'frequency')} to {as_text(FREQUENCY.high, 'frequency')}, "
-                    f"at which {FREQUENCY.subject} works")
+        expected = f"frequencies of {frequency_text(FREQUENCY.low, FREQUENCY.high)}, at which {FREQUENCY.subject} works"
     elif high > top:
         expected = (f"at most {as_text(top, 'frequency')}, where the transducer of {as_text(thickness, 'length')} is "
                     f"{OVERTONES:g} half wavelengths thick")
@@ -162,8 +179,7 @@ def check_band(layers: Sequence[Layer], band: tuple[float, float], source: str, 
         expected = f"a band whose ends are at most a factor of {WIDEST:g} apart"
     else:
         return
-    shown = f"{as_text(low, 'frequency')} to {as_text(high, 'frequency')}"
-    raise InputError(source, field, shown, f"{expected}; {_how('band')}", _meant_band(band, thickness))
+    raise InputError(source, field, frequency_text(*band), f"{expected}; {_how('band')}", _meant_band(band, thickness))
 
 
 def check_frequency(frequency: object, band: tuple[float, float], *, source: str, field: str) -> float:
@@ -176,12 +192,13 @@ def check_frequency(frequency: object, band: tuple[float, float], *, source: str
     # Numbers of numpy are accepted too.
     if isinstance(frequency, Real) and float(frequency) in FREQUENCY:
         return float(frequency)
-    expected = (f"a frequency in Hz of {FREQUENCY.low:g} to {FREQUENCY.high:g}, at which {FREQUENCY.subject} works; "
-                f"the band of this chip is {band[0]:.10g} to {band[1]:.10g} Hz")
+    expected = (f"a frequency in Hz, of {frequency_text(FREQUENCY.low, FREQUENCY.high)}, at which {FREQUENCY.subject} "
+                f"works; the band of this chip is {frequency_text(*band)}")
     meant: tuple[str, ...] = ()
     if isinstance(frequency, Real) and 0.0 < abs(float(frequency)) < math.inf:
         slips = [each for factor in (1.0, *SLIPS) if (each := abs(float(frequency)) * factor) in FREQUENCY]
         nearest = min(slips, key=lambda each: abs(math.log(each**2 / (band[0] * band[1]))), default=None)
+        # A program states it in Hz.
         meant = () if nearest is None else (f"{nearest:.10g} Hz",)
     raise InputError(source, field, frequency, expected, meant)
 
@@ -239,4 +256,4 @@ def _meant_band(band: tuple[float, float], thickness: float) -> tuple[str, ...]:
         return ()
     first = FREQUENCY_CONSTANT / thickness
     low, high = min(found, key=lambda ends: abs(math.log(ends[0] * ends[1] / first**2)))
-    return (f"{as_text(low, 'frequency')} to {as_text(high, 'frequency')}",)
+    return (frequency_text(low, high),)

@@ -228,7 +228,7 @@ class Sheet:
         rules = [rule for rule in RULES if rule.target == name]
         inner = [rule for rule in RULES if rule.target not in CONSTANTS and rule.target not in self.numbers
                  and any(rule.target in each.needs for each in rules)]
-        return InputError(self.file, name, "nothing", f"{name}, or numbers that give it with the rest of the sheet: "
+        return InputError(self.file, name, None, f"{name}, or numbers that give it with the rest of the sheet: "
                           + "; ".join(map(str, (*rules, *inner))))
 
 

@@ -133,7 +133,7 @@ def complete(
     if lacking and like is None:
         near = nearest(sheet.numbers, table, library)
         named = "" if near is None else f'; like = "{near.name}" takes the nearest ceramic known'
-        raise InputError(table.source, lacking[0], "nothing", f"{', '.join(lacking)}, which only shear needs, or like "
+        raise InputError(table.source, lacking[0], None, f"{', '.join(lacking)}, which only shear needs, or like "
                          f"= the name of a ceramic of this class to take {'it' if len(lacking) == 1 else 'them'} from"
                          f"{named}", () if near is None else (near.name,))
     if like is not None and not lacking:

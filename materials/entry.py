@@ -213,7 +213,7 @@ def _choose_form(kind_name: str, kind: EntryKind, given: Collection[str], *, sou
     nearest = max(kind.forms, key=lambda form: (len(set(form.dimensions) & set(given)), -len(form.dimensions)))
     missing = [name for name in nearest.dimensions if name not in given]
     if missing:
-        raise InputError(source, missing[0], "nothing", f"this number of the {kind_name} (one set of: "
+        raise InputError(source, missing[0], None, f"this number of the {kind_name} (one set of: "
                          + "; ".join(" ".join(form.dimensions) for form in kind.forms) + ")")
     surplus = sorted(set(given) - set(nearest.dimensions))
     raise InputError(source, surplus[0], "a number that the others already give",
@@ -313,7 +313,7 @@ def parse_entry(
     table.flag("default")
     for required in kind.required:
         if required not in entries:
-            raise InputError(file, required, "nothing", f"this number of the {kind_name}")
+            raise InputError(file, required, None, f"this number of the {kind_name}")
     if "fit" in table:
         references = {RECORDING, *references}
     form = _choose_form(kind_name, kind, [key for key in entries if key in in_forms or key in kind.figures],

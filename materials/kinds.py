@@ -34,33 +34,43 @@ def _unchanged(values: Mapping[str, Value], fields: Mapping[str, complex]) -> di
 
 
 @dataclass(frozen=True, kw_only=True)
-class Heat:
-    """Thermal constants of a solid. A constant is None if not stated.
+class SolidMaterial:
+    """The density, thermal constants and source of a solid. A thermal constant is None if not stated.
 
-    Thermal conductivity in W/(m K), heat capacity in J/(kg K), linear thermal expansion in 1/K. The acoustic model does
-    not use them, so they are not parameters of a solid.
+    Density in kg/m^3, thermal conductivity in W/(m K), heat capacity in J/(kg K), linear thermal expansion in 1/K. The
+    acoustic model does not use thermal constants, so they are not parameters.
     """
 
+    PARAMETERS: ClassVar[tuple[str, ...]] = ("density",)
     THERMAL: ClassVar[tuple[str, ...]] = ("thermal_conductivity", "heat_capacity", "thermal_expansion")
 
+    name: str
+    density: float
     thermal_conductivity: float | None = field(default=None, repr=False)
     heat_capacity: float | None = field(default=None, repr=False)
     thermal_expansion: float | None = field(default=None, repr=False)
+    temperature: float | None = None
+    source: str = ""
+    values: Mapping[str, Value] = field(default_factory=dict, compare=False, repr=False)
+    fit: Fit | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        known = {**self.parameters(), **self.thermal()}
+        stated = {name: value for name, value in self.values.items() if name in known or name not in self.THERMAL}
+        object.__setattr__(self, "values", _unchanged(stated, known))
+
+    def parameters(self) -> dict[str, complex]:
+        """Every number by its field name."""
+        return {name: complex(getattr(self, name)) for name in self.PARAMETERS}
 
     def thermal(self) -> dict[str, complex]:
         """Every known thermal constant by its field name."""
         found = {name: getattr(self, name) for name in self.THERMAL}
         return {name: complex(number) for name, number in found.items() if number is not None}
 
-    def unchanged_values(self, parameters: Mapping[str, complex], values: Mapping[str, Value]) -> dict[str, Value]:
-        """The `values` of numbers that are still those of the source."""
-        known = {**parameters, **self.thermal()}
-        stated = {name: value for name, value in values.items() if name in known or name not in self.THERMAL}
-        return _unchanged(stated, known)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Piezoelectric(Heat):
+class Piezoelectric(SolidMaterial):
     """A transversely isotropic piezoelectric solid poled along z, in stress-charge form.
 
     Density in kg/m^3, stiffness at constant electric field in Pa, piezoelectric constants in C/m^2, permittivity at
@@ -72,8 +82,6 @@ class Piezoelectric(Heat):
         "density", "c11", "c12", "c13", "c33", "c44", "e31", "e33", "e15", "eps11", "eps33",
     )
 
-    name: str
-    density: float
     c11: complex
     c12: complex
     c13: complex
@@ -85,13 +93,6 @@ class Piezoelectric(Heat):
     eps11: complex
     eps33: complex
     ceramic: str = ""
-    temperature: float | None = None
-    source: str = ""
-    values: Mapping[str, Value] = field(default_factory=dict, compare=False, repr=False)
-    fit: Fit | None = field(default=None, compare=False, repr=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "values", self.unchanged_values(self.parameters(), self.values))
 
     @property
     def c66(self) -> complex:
@@ -103,17 +104,13 @@ class Piezoelectric(Heat):
         """Permittivity (F/m) at constant strain along the poling."""
         return self.eps33 * VACUUM_PERMITTIVITY
 
-    def parameters(self) -> dict[str, complex]:
-        """Every number by its field name."""
-        return {name: complex(getattr(self, name)) for name in self.PARAMETERS}
-
     def slowest_wave_speed(self) -> float:
         """Speed (m/s) of the slower shear wave, without piezoelectric stiffening."""
         return math.sqrt(min(complex(self.c44).real, complex(self.c66).real) / self.density)
 
 
 @dataclass(frozen=True, kw_only=True)
-class IsotropicSolid(Heat):
+class IsotropicSolid(SolidMaterial):
     """An isotropic, possibly viscoelastic solid, or the material of a particle.
 
     Density in kg/m^3, adiabatic bulk and shear modulus in Pa; a particle such as a cell may have no shear modulus, a
@@ -121,31 +118,18 @@ class IsotropicSolid(Heat):
     polymer, above which it is softer and more lossy than stated; None if unknown.
     """
 
-    THERMAL: ClassVar[tuple[str, ...]] = (*Heat.THERMAL, "softening_temperature")
+    THERMAL: ClassVar[tuple[str, ...]] = (*SolidMaterial.THERMAL, "softening_temperature")
 
     PARAMETERS: ClassVar[tuple[str, ...]] = ("density", "bulk_modulus", "shear_modulus")
 
-    name: str
-    density: float
     bulk_modulus: complex
     shear_modulus: complex
     softening_temperature: float | None = field(default=None, repr=False)
-    temperature: float | None = None
-    source: str = ""
-    values: Mapping[str, Value] = field(default_factory=dict, compare=False, repr=False)
-    fit: Fit | None = field(default=None, compare=False, repr=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "values", self.unchanged_values(self.parameters(), self.values))
 
     @property
     def compressibility(self) -> float:
         """Compressibility (1/Pa) of the bulk, 1 / K."""
         return 1.0 / complex(self.bulk_modulus).real
-
-    def parameters(self) -> dict[str, complex]:
-        """Every number by its field name."""
-        return {name: complex(getattr(self, name)) for name in self.PARAMETERS}
 
     def slowest_wave_speed(self) -> float:
         """Speed (m/s) of shear waves."""
@@ -153,7 +137,7 @@ class IsotropicSolid(Heat):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CubicSolid(Heat):
+class CubicSolid(SolidMaterial):
     """A single crystal of cubic symmetry, cut as a (100) wafer.
 
     Density in kg/m^3, stiffness along the axes of the cube in Pa. A cube axis is normal to the wafer. ``channel`` is
@@ -162,20 +146,14 @@ class CubicSolid(Heat):
 
     PARAMETERS: ClassVar[tuple[str, ...]] = ("density", "c11", "c12", "c44")
 
-    name: str
-    density: float
     c11: complex
     c12: complex
     c44: complex
     channel: str
-    temperature: float | None = None
-    source: str = ""
-    values: Mapping[str, Value] = field(default_factory=dict, compare=False, repr=False)
-    fit: Fit | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         choose(self.channel, CHANNELS, source=self.name, field="channel")
-        object.__setattr__(self, "values", self.unchanged_values(self.parameters(), self.values))
+        super().__post_init__()
 
     @property
     def bulk_modulus(self) -> complex:
@@ -196,10 +174,6 @@ class CubicSolid(Heat):
             return self.c11, self.c12
         mean = 0.5 * (self.c11 + self.c12)
         return mean + self.c44, mean - self.c44
-
-    def parameters(self) -> dict[str, complex]:
-        """Every number by its field name."""
-        return {name: complex(getattr(self, name)) for name in self.PARAMETERS}
 
     def slowest_wave_speed(self) -> float:
         """Speed (m/s) of the slowest shear wave in the section."""

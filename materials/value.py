@@ -137,7 +137,7 @@ def parse_value(
     unit, factor = unit_factor(table, dimension)
     real = table.optional_number("value")
     if real is None:
-        raise InputError(source, table.at("value"), "nothing", "a finite number")
+        raise InputError(source, table.at("value"), None, "a finite number")
     spreads = {key: _spread(table, key, factor) for key in _SPREADS}
     rounding = spreads["rounding"] or 0.0
     loss = read_loss(table, kind, real, factor=factor, rounding=rounding)

@@ -91,6 +91,12 @@ def test_files_that_are_named_exist(page: Path) -> None:
         assert list(ROOT.glob(name.rstrip("/"))), name
 
 
+def test_every_benchmark_is_named() -> None:
+    pages = "".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs").glob("*.md"))
+    named = set(re.findall(r"benchmarks/(\w+\.py)", pages))
+    assert {path.name for path in (ROOT / "tests" / "benchmarks").glob("*.py")} <= named
+
+
 def test_every_page_of_validation_names_its_commands() -> None:
     text = (ROOT / "docs/validation.md").read_text(encoding="utf-8")
     for section in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:

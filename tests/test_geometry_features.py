@@ -67,7 +67,8 @@ def test_features_are_read_and_written(disc: Path) -> None:
     ('"5 mg"', '"0 mg"', "features[0].mass", "above zero"),
     ('"5 mg"', '"5 mm"', "features[0].mass", "mg"),
     ('"5 mg"', '"-5 mg"', "features[0].mass", "'-5 mg'"),
-    ('mass = "5 mg"', "", "features[0].mass", "mass with its unit"),
+    ('mass = "5 mg"', "", "features[0].mass", "missing; expected a mass with its unit"),
+    ('distance = "9 mm"', "", "features[0].distance", "missing; expected a length with its unit"),
     ('mass = "5 mg"', 'stiffness = "1 N/m"', "features[0].stiffness", "mass"),
     ('mass = "5 mg"', 'mass = "5 mg"\nloss = 0.1', "features[0].loss", "mass"),
     ('distance = "9 mm"', 'radius = "9 mm"', "features[0].radius", "distance"),
@@ -76,6 +77,19 @@ def test_a_mistake_is_named(disc: Path, old: str, new: str, field: str, words: s
     with pytest.raises(InputError) as error:
         with_features(disc, SOLDER.replace(old, new))
     assert (error.value.field, words in str(error.value)) == (field, True), str(error.value)
+    assert error.value.value is not None or not error.value.nearest, str(error.value)
+
+
+def test_a_feature_is_lighter_than_its_layer(disc: Path) -> None:
+    """The disc has the mass of a cylinder: density 7862 kg/m^3, 25 mm across, 2.02 mm thick."""
+    chip = with_features(disc, SOLDER.replace('"5 mg"', '"9 g"'))
+    whole = 1e3 * 7862.0 * math.pi * 12.5e-3**2 * 2.02e-3
+    with pytest.raises(InputError, match=rf"features\[0\].mass: received '9 g'.* to {whole / 2:.4g} g, .*'transducer', "
+                                         rf"which itself has {whole:.4g} g.* unusual = .*'9 mg'"):
+        fill(chip)
+    assert fill(replace(chip, unusual=("features[0].mass",))).chip.features == chip.features
+    lighter = replace(chip.features[0], mass=0.49e-3 * whole)
+    assert fill(replace(chip, features=(lighter,))).chip.features == (lighter,)
 
 
 def test_a_straight_chip_has_none() -> None:

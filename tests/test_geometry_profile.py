@@ -156,7 +156,7 @@ def written(folder: Path, profile: str) -> Chip:
      r"points\[1\].arc: received '\(9 mm, 0 mm\)'; expected a point beside the line"),
     ('points = [["4 mm", "0 mm"], { at = ["13 mm", "0 mm"], bend = 1 }, ["13 mm", "0.72 mm"]]', r"bend.*one of"),
     ('script = "rings.py", function = "ring", points = []', r"received \['points', 'script'\]; expected one of points"),
-    ('parameters = { a = "1 mm" }', r"profile: received None; expected one of points, script, step"),
+    ('parameters = { a = "1 mm" }', r"profile: missing; expected one of points, script, step"),
     ('scrip = "rings.py"', r"profile.scrip.*did you mean 'script'"),
     ('script = "rings.py", function = "ring", parameters = { radius = "1 mm" }', r"parameters.radius.*no key of"),
     ('script = "rings.py", function = "ring", parameters = { fill = "1 mm" }', r"expected one called 'fill'"),

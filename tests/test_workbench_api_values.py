@@ -71,7 +71,7 @@ def test_a_goal_of_stock_and_heat_from_values(chip: Chip) -> None:
     ({"substrate.thickness": {"from": 1e-3, "to": 2e-3}}, {"state": "fillet"}, "Goal: goal.state: .*filled"),
     ({"substrate.thickness": {"from": 1e-3, "to": 2e-3}}, {"search": {"start": 3}}, "Goal: search.start: .*starts"),
     ({"substrate.thickness": {"from": 1e-3, "to": 2e-3}}, {"band": (1e6,)}, "Goal: goal.band: .*two frequencies"),
-    ({"substrate.thickness": {"from": 1e-3, "to": 2e-3}}, {"band": (1, 2)}, "Goal: goal.band: .*'1 MHz to 2 MHz'"),
+    ({"substrate.thickness": {"from": 1e-3, "to": 2e-3}}, {"band": (1, 2)}, "Goal: goal.band: .*'1 to 2 MHz'"),
 ])
 def test_a_mistake_in_a_goal_is_said(chip: Chip, variables: dict, more: dict, message: str) -> None:
     with pytest.raises(wb.InputError, match=message):
@@ -105,7 +105,7 @@ def test_a_study_from_values_is_that_of_the_file() -> None:
     ({"substrate.thickness": {"from": 0.8e-3, "to": 0.9e-3}}, {}, "Study: vary.substrate.thickness.points"),
     ({"substrate.thickness": {"values": [1e-3]}}, {}, "two different values"),
     ({"substrate.thickness": {"values": [1e-3, 2e-3]}}, {"figures": ["f00"]}, "Study: study.figures: .*did you mean"),
-    ({"substrate.thickness": {"values": [1e-3, 2e-3]}}, {"band": (1, 2)}, "Study: study.band: .*'1 MHz to 2 MHz'"),
+    ({"substrate.thickness": {"values": [1e-3, 2e-3]}}, {"band": (1, 2)}, "Study: study.band: .*'1 to 2 MHz'"),
     ({"substrate.thickness": {"values": [1e-3, 2e-3]}}, {"frequency": 5e6}, "Study: study.frequency: .*the band"),
     ({"substrate.thickness": {"values": [1e-3, 2e-3]}}, {"relative_error": 2.0}, "Study: study.relative_error"),
 ])
@@ -201,7 +201,7 @@ def test_a_received_value_that_is_long_is_cut() -> None:
 
 
 @pytest.mark.parametrize(("path", "message"), [
-    (None, r"write_spectrum: path: received None; expected the path of a file to write"),
+    (None, r"write_spectrum: path: missing; expected the path of a file to write"),
     (EXAMPLES, r"write_spectrum: path: received '.*examples'; expected the path of a file .*spectrum\.csv.*a folder"),
 ])
 def test_a_spectrum_is_written_to_a_file_only(path: object, message: str) -> None:

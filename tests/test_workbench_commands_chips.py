@@ -24,8 +24,12 @@ def test_a_copy_is_the_same_chip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     (tmp_path / "folder").mkdir()
     assert main(["chips", "copy", "glass_channel", "-o", "folder"]) == 0
     assert main(["chips", "copy", "glass_channel", "-o", "new/folder/channel.toml"]) == 0
+    assert main(["chips", "copy", "glass_channel", "-o", "another/"]) == 0
+    assert main(["chips", "copy", "reference_chip", "-o", "another/"]) == 0
     for name, file in (("glass_channel", "glass_channel.toml"), ("reference_chip", "mine.toml"),
-                       ("glass_channel", "folder/glass_channel.toml"), ("glass_channel", "new/folder/channel.toml")):
+                       ("glass_channel", "folder/glass_channel.toml"), ("glass_channel", "new/folder/channel.toml"),
+                       ("glass_channel", "another/glass_channel.toml"),
+                       ("reference_chip", "another/reference_chip.toml")):
         assert read_chip(tmp_path / file).layers == read_chip(SHIPPED / f"{name}.toml").layers
 
 

@@ -87,7 +87,7 @@ def test_without_a_frequency_the_field_is_that_of_f0_and_pictures_can_be_left_ou
 
 
 @pytest.mark.parametrize(("options", "words"), [
-    ([], "--drive: received 'nothing'; expected the drive, such as"),
+    ([], "--drive: missing; expected the drive, such as"),
     (["--drive", "10 V"], "--drive: received '10 V'; expected"),
     (["--drive", "10 Vpp", "--minutes", "0"], "--minutes: received 0.0; expected a time above zero"),
     (["--drive", "10 Vpp", "--minutes", "nan"], "--minutes: received nan"),

@@ -236,7 +236,7 @@ def test_bad_questions(chip: Chip, model: DesignModel) -> None:
 
 
 def test_a_band_without_a_resonance_is_named(chip: Chip) -> None:
-    with pytest.raises(InputError, match="band: received '5 kHz to 10 kHz'; expected a band in which the chip"):
+    with pytest.raises(InputError, match="band: received '5 to 10 kHz'; expected a band in which the chip"):
         design_model(chip, "filled", {"substrate.thickness": (0.98e-3, 1.02e-3)}, figures=("f0",), band=(5e3, 10e3),
                      accuracy=COARSE)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import re
 import stat
@@ -13,7 +14,7 @@ from threading import Thread
 import pytest
 
 from workbench.files.errors import InputError
-from workbench.files.quantities import parse_quantity
+from workbench.files.quantities import frequency_text, parse_quantity
 from workbench.files.tables import FileTable
 from workbench.files.writing import remedy, replacing, write_atomic
 
@@ -136,7 +137,7 @@ def test_a_default_stands_in_for_what_a_table_lacks(table: FileTable) -> None:
     (lambda t: t.table("inner").text("name"), "inner.name", None, "a text"),
     (lambda t: t.tables("inner", expected="tables [[inner]]"), "inner", {"kind": "pzt"}, "tables [[inner]]"),
     (lambda t: t.tables("rows", expected="tables")[1].text("name"), "rows[1].name", 2, "a text"),
-    (lambda t: t.required("nam", "a name"), "nam", None, "a name; did you mean 'name'"),
+    (lambda t: t.required("nam", "a name"), "nam", None, "a name"),
     (lambda t: t.table("inner").only(("name", "king")), "inner.kind", "kind", "one of king, name; did you mean 'king'"),
     (lambda t: t.only(("size",), renamed={"name": "size"}), "name", "name", "one of size; 'name' was renamed to"),
     (lambda t: FileTable.of(3, source=t.source, field="fit"), "fit", 3, "a table"),
@@ -149,6 +150,11 @@ def test_a_mistake_in_a_table_is_named(
     error = caught.value
     assert (error.source, error.field, error.value) == (table.source, field, value)
     assert expected in str(error)
+
+
+def test_a_missing_key_is_named_as_missing() -> None:
+    with pytest.raises(InputError, match=r"^a\.toml: distance: missing; expected a length$"):
+        FileTable.made("a.toml", {"diameter": "2 mm"}).required("distance", "a length")
 
 
 def test_a_full_disk_is_an_error_with_file_and_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -199,3 +205,22 @@ def test_a_share_without_its_sign_is_asked_about(text: object, asked: str) -> No
     assert str(caught.value).endswith(asked)
     for proposed in re.findall(r'"([^"]* %)"', str(caught.value)):
         assert 0.0 < parse_quantity(proposed, "share", source="file", field="noise") < 1.0
+
+
+@pytest.mark.parametrize(("frequencies", "text"), [
+    ((1.9e6,), "1.9 MHz"), ((1e5,), "0.1 MHz"), ((99e3,), "99 kHz"), ((2500.0,), "2.5 kHz"), ((50.0,), "50 Hz"),
+    ((0.91e6, 1.155e6), "0.91 to 1.155 MHz"), ((20e3, 2e6), "20 kHz to 2 MHz"), ((0.0, math.inf), "0 Hz to inf MHz"),
+    ((1_234_567.891,), "1.23456789 MHz"), ((math.nan,), "nan Hz"),
+])
+def test_a_frequency_has_a_readable_unit(frequencies: tuple[float, ...], text: str) -> None:
+    assert frequency_text(*frequencies) == text
+
+
+def test_messages_have_no_frequencies_in_plain_hertz() -> None:
+    """A number such as 1.9e+06 Hz. Files that are read back, and those of instruments, have exact ones in Hz."""
+    exact = {"geometry/plausible.py", "materials/saving.py", "workbench/design/study_folder.py",
+             "workbench/instruments/feeltech.py", "workbench/readers/makers.py", "workbench/results/pole.py"}
+    root = Path(__file__).parent.parent
+    found = {path.relative_to(root).as_posix() for package in ("geometry", "materials", "workbench")
+             for path in (root / package).rglob("*.py") if re.search(r"(g|!r)\} Hz", path.read_text(encoding="utf-8"))}
+    assert found == exact

@@ -17,13 +17,14 @@ from geometry.mesh import mesh_section
 from geometry.mesh_size import MeshSize
 from geometry.section import Electrode, Rectangle, Section
 from materials.kinds import Fluid, Piezoelectric
+from workbench.acoustics.sound_energy import SoundEnergy
 from workbench.cli import main
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.model.problem import Problem, problem
 from workbench.physics.fluid import PressureRelease
-from workbench.physics.orders import terms_of_order
+from workbench.physics.orders import ORDER, terms_of_order
 from workbench.simulation.finite_length import CavityEnergy, DrivenSection, driven_length
 
 #: A ceramic without Poisson's ratio: its length alone moves between rollers.
@@ -73,6 +74,11 @@ def test_the_energy_along_a_rigid_channel() -> None:
                     + (k * np.sin(k * place)) ** 2 / (997.0 * (2.0 * math.pi * frequency) ** 2))
     assert cavity.along_channel(0, one, np.array([k]), place) == pytest.approx(exact, rel=1e-9, abs=0.0)
     assert cavity.mean(one, k) == pytest.approx(np.trapezoid(exact, place) / length, rel=1e-9, abs=0.0)
+    # The energy of a section has the part along the channel too; the mean of cos^2 is a half.
+    state = np.zeros((operators.size, 1), dtype=complex)
+    state[cavity.rows] = 1.0
+    section = SoundEnergy.of(operators).density(np.array([frequency]), state, {**posed.values, ORDER: k})
+    assert cavity.mean(one, k) == pytest.approx(0.5 * section, rel=1e-12, abs=0.0)
 
 
 CHANNEL = """
@@ -131,5 +137,5 @@ def test_a_chip_without_a_length_and_a_round_one_are_refused(channel: Path) -> N
         wb.finite_length(wb.read_chip(channel))
     with pytest.raises(InputError, match=r"geometry.*straight"):
         wb.finite_length(wb.read_chip("geometry/chips/disc_20x2.toml"))
-    with pytest.raises(InputError, match="points"):
+    with pytest.raises(InputError, match=r"^finite_length: points: received 2"):
         wb.finite_length(wb.read_chip("geometry/chips/glass_channel.toml"), points=2)

@@ -373,7 +373,7 @@ def test_a_material_without_thermal_constants_is_refused_only_for_heat() -> None
     assert isinstance(lid, IsotropicSolid)
     bare = replace(problem, materials={**problem.materials, "superstrate": replace(lid, thermal_conductivity=None)})
     assert assemble(bare.mesh, bare.terms).size == assemble(problem.mesh, problem.terms).size
-    with pytest.raises(InputError, match=r"material pmma/acevedo_2026: thermal_conductivity: received None; expected a "
+    with pytest.raises(InputError, match=r"material pmma/acevedo_2026: thermal_conductivity: missing; expected a "
                        r"number in W/\(m K\).*did you mean 'pmma/"):
         conducted_heat(bare, solution, 5.0)
     strange = replace(lid, name="zzz/zzz", heat_capacity=None)

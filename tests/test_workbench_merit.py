@@ -106,7 +106,7 @@ def test_figures_of_an_independent_solver(name: str) -> None:
 def test_minimum_at_the_edge_is_refused_with_what_is_known() -> None:
     frequency = np.linspace(0.9e6, 0.98e6, 100)
     impedance = bvd_impedance(frequency, **CIRCUIT)
-    with pytest.raises(NoResonance, match="at an edge of the band 900000 to 980000 Hz, 980000 Hz") as caught:
+    with pytest.raises(NoResonance, match=r"at an edge of the band 0.9 to 0.98 MHz, 0.98 MHz") as caught:
         figures(Spectrum(frequency, impedance))
     assert caught.value.frequency == 0.98e6
     assert caught.value.impedance == pytest.approx(abs(impedance[-1]), rel=1e-9)
@@ -138,7 +138,7 @@ def test_choice_among_resonances() -> None:
     second = figures(spectrum, near=1.06e6)
     assert second.f0 == pytest.approx(1.05e6, abs=500.0)
     assert figures(spectrum, band=(1.03e6, 1.08e6)).f0 == pytest.approx(second.f0, abs=0.1)
-    with pytest.raises(NoResonance, match="complete resonances: 105") as caught:
+    with pytest.raises(NoResonance, match=r"complete resonances: 1\.05") as caught:
         figures(spectrum, band=(1.0e6, 1.08e6))  # the flank of the first mode is deeper than the second
     assert caught.value.candidates == (pytest.approx(second.f0, abs=20.0),)
 

@@ -16,11 +16,13 @@ from support import CELL, FluidState, block_mesh
 
 from geometry.chip import parse_chip
 from workbench.acoustics.forces import ParticleForces, particle_forces
+from workbench.fem.operators import FullOperators
 from workbench.fem.patch import Patch
-from workbench.model.drive import VoltageDrive
+from workbench.files.errors import InputError
+from workbench.model.drive import VoltageDrive, parse_drive
 from workbench.model.particles import Particle
 from workbench.render.pattern import draw_pattern
-from workbench.simulation.features import RigidPart
+from workbench.simulation.features import RigidPart, charge_change, compliance_of, driven_displacements
 from workbench.simulation.pattern import CavityPattern, cavity_pattern
 from workbench.simulation.run import Snapshot, simulate, snapshot
 
@@ -58,11 +60,11 @@ def test_a_part_without_mass_leaves_the_field_of_the_section() -> None:
     nodes = shot().fields.mesh.nodes_of(["cavity"])
     assert pattern.cosines[nodes, 0] == pytest.approx(shot().fields.pressure[nodes], rel=1e-9)
     own = particle_forces(shot().fields, traps.forces.particle, fluid=traps.forces.fluid, region="cavity")
-    found = pattern.potential(own, own.mesh.points, ANGLES)
+    found = replace(pattern, forces=own).potential(own.mesh.points, ANGLES)
     # The nodes on edges of cells, where the recovered gradient is a mean of both.
     assert found == pytest.approx(np.repeat(own.potential[:, None], 3, axis=1), abs=1e-5 * np.ptp(own.potential))
     # The traps of the section beside its axis are rings.
-    found = pattern.traps(own)
+    found = replace(pattern, forces=own).traps
     assert all((trap.angle is None) == (trap.radius > 0.0) for trap in found)
     rings = [trap for trap in traps.traps if trap.radius > 0.1e-3 and not trap.on_wall]
     assert len([trap for trap in found if trap.radius > 0.1e-3]) == len(rings)
@@ -102,6 +104,20 @@ def test_a_drive_scales_the_pressure(one: CavityPattern) -> None:
     assert double.pressure(places(), ANGLES) == pytest.approx(2.0 * one.pressure(places(), ANGLES), rel=1e-12)
 
 
+def test_a_power_is_that_of_the_chip_with_its_parts(one: CavityPattern) -> None:
+    """The voltage at a power follows from the charge of both, which 1 mg changes by more than 1e-3."""
+    solution, power = shot().solution, parse_drive("0.1 W")
+    operators = shot().solution.operators
+    assert isinstance(operators, FullOperators)
+    between = compliance_of(shot().problem, [PART.patch], np.zeros(1), solution.frequency)
+    change = charge_change([PART], solution.frequency, driven_displacements(operators, [PART], solution.states),
+                           between.total)
+    assert abs(change[0] / solution.charge[0]) > 1e-3
+    voltage = power.amplitude(solution.impedance * solution.charge / (solution.charge + change))[0]
+    found = cavity_pattern(shot().problem, solution, [PART], power).pressure(places(), ANGLES)
+    assert found == pytest.approx(voltage / 5.0 * one.pressure(places(), ANGLES), rel=1e-9)
+
+
 # --------------------------------------------------------------------------------------------------------------------
 # A known field: p = J_0(k r) cos(q z) + e J_3(k r) cos(3 t) cos(q z)
 
@@ -114,7 +130,7 @@ def known(share: float, order: int = 3) -> CavityPattern:
     cosines[:, 0] = 1e5 * jv(0, across * r) * np.cos(up * z)
     cosines[:, order] = 1e5 * share * jv(order, across * r) * np.cos(up * z)
     frequency = math.hypot(across, up) * WATER.sound_speed / (2.0 * math.pi)
-    return CavityPattern(mesh, frequency, WATER.density, WATER.sound_speed, cosines, 0.0 * cosines)
+    return CavityPattern(mesh, frequency, WATER.density, WATER.sound_speed, cosines, 0.0 * cosines, forces_of_bead())
 
 
 def test_the_velocity_is_that_of_the_pressure() -> None:
@@ -142,21 +158,31 @@ def test_the_velocity_on_the_axis_does_not_depend_on_the_angle() -> None:
 def test_the_traps_of_an_order_are_equal_and_equally_far_apart() -> None:
     """Where J_3 is largest, at 4.2 / k, in the node of the pressure along z, six times around."""
     pattern = known(100.0)
-    beside = [trap for trap in pattern.traps(forces_of_bead(pattern)) if trap.radius > 0.0]
+    assert pattern.traps is pattern.traps
+    beside = [trap for trap in pattern.traps if trap.radius > 0.0]
     assert np.sort([trap.angle or 0.0 for trap in beside]) == pytest.approx(np.arange(6) * math.pi / 3.0, abs=0.1)
     for trap in beside:
         assert (trap.radius, trap.height) == pytest.approx((4.2 / WAVES * RADIUS, 0.5 * HEIGHT), abs=0.05e-3)
         assert trap.potential == pytest.approx(beside[0].potential, rel=2e-2)
 
 
+def test_a_liquid_without_particles_has_no_traps(tmp_path: Path) -> None:
+    pattern = replace(known(0.5), forces=None)
+    assert pattern.traps == ()
+    with pytest.raises(InputError, match="particle: missing"):
+        pattern.potential(np.zeros((1, 2)), ANGLES)
+    picture = matplotlib.image.imread(draw_pattern(pattern, tmp_path / "pattern.png"))
+    assert picture.shape[1] < 1.5 * picture.shape[0]
+
+
 def test_the_trap_on_the_axis_is_found() -> None:
-    traps = known(0.01).traps(forces_of_bead(known(0.01)))
+    traps = known(0.01).traps
     assert traps[0].radius == 0.0
     # The node of the pressure.
     assert traps[0].height == pytest.approx(0.5 * HEIGHT, abs=HEIGHT / 20.0)
 
 
-def forces_of_bead(pattern: CavityPattern) -> ParticleForces:
+def forces_of_bead() -> ParticleForces:
     traps = shot().traps
     assert traps is not None
     bead = Particle(name="polystyrene", radius=5e-6, density=1050.0, compressibility=2.5e-10)
@@ -174,5 +200,5 @@ def test_simulate_reports_the_pattern(tmp_path: Path, monkeypatch: pytest.Monkey
     expected = pattern_of(PART).pressure(places(), ANGLES)
     # Its mesh has lines at the edges of the patch.
     assert run.pattern.pressure(places(), ANGLES) == pytest.approx(expected, abs=2e-2 * np.abs(expected).max())
-    picture = matplotlib.image.imread(draw_pattern(run.pattern, run.traps, tmp_path / "pattern.png"))
+    picture = matplotlib.image.imread(draw_pattern(run.pattern, tmp_path / "pattern.png"))
     assert picture.shape[1] > 1.5 * picture.shape[0]

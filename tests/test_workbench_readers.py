@@ -326,7 +326,7 @@ def test_active_points_and_units() -> None:
     (finding,) = examine(Spectrum(WIDE, impedance))
     assert finding.code == "active"
     assert "1 of 201" in finding.message
-    assert "907000 Hz" in finding.message
+    assert "0.907 MHz" in finding.message
     assert codes(impedance.real.clip(0.1) * 1e-5 + 0j) == ["magnitude"]
     assert codes(np.full(201, 50.0 + 0j), WIDE / 1e6) == ["frequency"]
 

@@ -117,7 +117,7 @@ def test_a_point_apart_is_named_with_its_line_and_left_out_on_request(name: str,
     (finding,) = (each for each in reading.findings if each.code in ("outlier", "stretch"))
     line = first_row(name) + point
     assert finding.rows == (line,)
-    assert f"line {line} ({FREQUENCY[point]:.9g} Hz)" in finding.message
+    assert f"line {line} ({FREQUENCY[point] / 1e6:.9g} MHz)" in finding.message
     assert "--without-outliers" in finding.message
     assert reading.spectrum.frequency.size == 41
     rest = read_recording(tmp_path / name, without_outliers=True)
@@ -146,7 +146,7 @@ def test_active_points_are_left_out_beyond_the_noise_only() -> None:
     z[50] -= 0.02 * abs(z[50])
     findings = {finding.code: finding for finding in examine(Spectrum(frequency, z))}
     assert findings["active"].rows == (51,)
-    assert "beyond the noise: point 51 (150000 Hz)" in findings["active"].message
+    assert "beyond the noise: point 51 (0.15 MHz)" in findings["active"].message
     assert int(re.findall(r"at (\d+) of 101", findings["active"].message)[0]) > 10
 
 
@@ -195,7 +195,7 @@ def test_frequencies_beside_the_grid() -> None:
     spectrum = Spectrum(np.where(np.arange(41) == 9, FREQUENCY + 900.0, FREQUENCY), np.full(41, 50.0 + 0j))
     (finding,) = examine(spectrum)
     assert (finding.code, finding.rows) == ("spacing", (10,))
-    assert "point 10 (973400 Hz): beside the even steps of the other frequencies (2500 Hz)" in finding.message
+    assert "point 10 (0.9734 MHz): beside the even steps of the other frequencies (2.5 kHz)" in finding.message
 
 
 @pytest.mark.parametrize("name", ["own.csv", "semicolons.csv", "y.s1p", "admittance.txt"])

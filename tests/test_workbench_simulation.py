@@ -155,7 +155,7 @@ def test_progress_goes_on_and_ends(disc: Chip) -> None:
 ])
 def test_a_grid_of_frequencies_rises_from_above_zero(band: tuple[float, float], points: int, field: str) -> None:
     with pytest.raises(InputError) as caught:
-        frequency_grid(band, points)
+        frequency_grid(band, points, source="simulate")
     assert caught.value.field == field
 
 
@@ -294,4 +294,4 @@ def test_a_chip_whose_full_solve_fails_has_no_figures_and_a_reason(disc: Chip, m
     monkeypatch.setattr("workbench.design.model.answer", fails)
     found = full_evaluation(disc, None, {}, figures=("f0", "q"), points=21, accuracy=quadratic(ELEMENTS))
     assert math.isnan(found.figures["f0"])
-    assert "the solve at 400000 Hz has a scaled residual" in found.missing["q"]
+    assert "the solve at 0.4 MHz has a scaled residual" in found.missing["q"]

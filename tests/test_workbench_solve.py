@@ -138,7 +138,7 @@ def test_tangents_are_the_derivatives_of_the_state(filled: Problem, filled_opera
 
 def test_a_region_without_mass_and_stiffness_is_not_solved(filled: Problem, filled_operators: FullOperators) -> None:
     nothing = {name: 0j if name.startswith("glass.") else value for name, value in filled.values.items()}
-    with pytest.raises(NotConverged, match=r"350000 Hz.*residual of inf.*without any support") as caught:
+    with pytest.raises(NotConverged, match=r"0.35 MHz.*residual of inf.*without any support") as caught:
         solve_full(filled_operators, np.array([350e3]), nothing)
     assert caught.value.frequency == 350e3
     assert caught.value.residual == np.inf
@@ -162,7 +162,7 @@ def test_a_sloppy_factor_is_refined_and_a_useless_one_refused() -> None:
     found, residual = sloppy.solve(right)
     assert found == pytest.approx(inverse @ right, rel=1e-12)
     assert residual < 1e-14
-    with pytest.raises(NotConverged, match=r"1e\+06 Hz has a scaled residual of 1\.00e\+00, above 1e-10") as caught:
+    with pytest.raises(NotConverged, match=r"1 MHz has a scaled residual of 1\.00e\+00, above 1e-10") as caught:
         Factor(1e6, triangle, np.ones(2), np.zeros_like).solve(right)
     assert caught.value.iterate.tolist() == [0, 0]
 

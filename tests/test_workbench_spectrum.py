@@ -77,7 +77,7 @@ def test_restricted() -> None:
     np.testing.assert_array_equal(part.impedance, IMPEDANCE[1:])
     np.testing.assert_array_equal(part.uncertainty, [2.0, 3.0])
     assert part.origin == spectrum.origin
-    with pytest.raises(ValueError, match="1150000 to 1200000 Hz holds 1 points"):
+    with pytest.raises(ValueError, match=r"1.15 to 1.2 MHz holds 1 points"):
         spectrum.restricted(1.15e6, 1.2e6)
 
 

@@ -215,7 +215,7 @@ def test_what_is_not_known_is_said_instead_of_an_error() -> None:
     bare = replace(problem, materials={**problem.materials, "bond": glue})
     found = warmed(bare, solution, VoltageDrive(4.0), WarmUp(), registry=Registry())
     assert found.state is None
-    assert "thermal_conductivity: received None" in found.reason
+    assert "thermal_conductivity: missing" in found.reason
     assert "the temperature under the drive, and the change of the field with it, are not known" in found.reason
     lawless = replace(problem.materials["cavity"], name="water/mine")
     own = replace(problem, materials={**problem.materials, "cavity": lawless})

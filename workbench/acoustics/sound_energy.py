@@ -27,6 +27,7 @@ from workbench.fem.linearised import LinearisedState, Twice, by_frequency, diffe
 from workbench.fem.operators import FullOperators, Operators
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.physics.fluid import AcousticFluid
+from workbench.physics.orders import OfOrder
 from workbench.physics.term import Coefficient, Integral, Monomial, Times, Values, times
 from workbench.reduced.compact import gathered
 from workbench.results.peaks import find_peaks
@@ -34,8 +35,9 @@ from workbench.results.peaks import find_peaks
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Products of the kinetic and of the compressional energy.
-KINETIC, COMPRESSIONAL = (set(integral.products) for integral in AcousticFluid("", "").integrals())
+#: Products of the kinetic energy, across and along the third direction, and of the compressional energy.
+ACROSS, ALONG, COMPRESSIONAL = (set(each.products) for each in OfOrder(AcousticFluid("", "")).integrals())
+KINETIC = ACROSS | ALONG
 
 #: Smallest ratio of a peak to the higher of the valleys beside it. Doubled, a shoulder of 1.5 dB is not a peak.
 LEAST_RISE = 1.2

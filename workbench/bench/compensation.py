@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
+from workbench.files.quantities import frequency_text
 from workbench.results.spectrum import Spectrum
 
 Complex = NDArray[np.complex128]
@@ -104,14 +105,14 @@ def _at(standard: Spectrum, frequency: Real, name: str) -> tuple[Complex, Real]:
     low, high = float(standard.frequency[0]), float(standard.frequency[-1])
     source = standard.origin.source or f"recording of the {name}"
     if frequency[0] < low or frequency[-1] > high:
-        raise InputError(source, f"{name}: frequencies", f"{low:.9g} to {high:.9g} Hz",
-                         f"the band of the device, {frequency[0]:.9g} to {frequency[-1]:.9g} Hz")
+        raise InputError(source, f"{name}: frequencies", frequency_text(low, high),
+                         f"the band of the device, {frequency_text(*frequency[[0, -1]])}")
     bend = _bend(standard)
     if bend > 1.0:
-        raise InputError(source, f"{name}: frequencies", f"{len(standard.frequency)} points from {low:.9g} to "
-                         f"{high:.9g} Hz", f"the device's own frequencies, or points near enough to interpolate: every "
-                         f"second one differs from the prediction by its neighbours by {bend:.1f} times the limit, "
-                         f"which is its noise or {100 * _BEND:g} %")
+        raise InputError(source, f"{name}: frequencies", f"{len(standard.frequency)} points from "
+                         f"{frequency_text(low, high)}", "the device's own frequencies, or points near enough to "
+                         "interpolate: every second one differs from the prediction by its neighbours by "
+                         f"{bend:.1f} times the limit, which is its noise or {100 * _BEND:g} %")
     # A fixture is smooth and its recording is noisy: linear interpolation is accurate within the noise.
     value = np.interp(frequency, standard.frequency, standard.impedance)
     return value, np.interp(frequency, standard.frequency, _noise(standard))

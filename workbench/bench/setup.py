@@ -45,7 +45,7 @@ from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
 from workbench.files.names import check_title
-from workbench.files.quantities import parse_quantity
+from workbench.files.quantities import frequency_text, parse_quantity
 from workbench.files.tables import FileTable
 from workbench.instruments.instrument import GeneratorSettings, OscilloscopeSettings
 from workbench.instruments.tektronix import AVERAGES, PROBES
@@ -282,8 +282,8 @@ def _sweep(table: FileTable) -> SweepPlan:
     low, high = (round(f / FREQUENCY_RESOLUTION) * FREQUENCY_RESOLUTION for f in (low, high))
     values = _values(table, SweepPlan, but=("low", "high"))
     if not high - low >= values["step"]:
-        raise InputError(table.source, "sweep", f"{low:g} Hz to {high:g} Hz",
-                         f"a rising band of {values['step']:g} Hz or more")
+        raise InputError(table.source, "sweep", frequency_text(low, high),
+                         f"a rising band of {frequency_text(values['step'])} or more")
     return SweepPlan(low, high, **values)
 
 

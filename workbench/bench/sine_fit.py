@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.files.quantities import frequency_text
 from workbench.instruments.instrument import Waveform
 
 #: Largest number of Gauss-Newton steps. Three or four are enough for a frequency known to 1 % of a period.
@@ -67,7 +68,7 @@ def fit_sines(waveforms: Sequence[Waveform], *, frequency: float | None = None) 
     used = min(len(first.volts), round(whole / (first.step * frequency)))
     if used == 0:
         raise NoSine(f"{len(first.volts)} samples of {first.step:.6g} s hold less than one period of "
-                     f"{frequency:.6g} Hz")
+                     f"{frequency_text(frequency)}")
     signal = signal[:, :used]
     time = np.asarray(first.step * (np.arange(used) - 0.5 * (used - 1)), dtype=np.float64)
     omega, parameters, residual = _settle(signal, time, 2.0 * np.pi * frequency)
@@ -106,11 +107,12 @@ def _settle(
             return omega, parameters, residual
         omega += step
         if not abs(omega - begin) < reach:
-            raise NoSine(f"the fit ran from {begin / (2 * np.pi):.9g} Hz to {omega / (2 * np.pi):.9g} Hz: there is no "
+            raise NoSine(f"the fit ran from {frequency_text(begin / (2 * np.pi), omega / (2 * np.pi))}: there is no "
                          "sine of that frequency in the record")
     # With noise alone the last digits do not converge; a step that is still large is a defect of the record.
     if abs(step) > 1e-3 * reach:
-        raise NoSine(f"the fit did not settle at {omega / (2 * np.pi):.9g} Hz; last step {step / (2 * np.pi):.3g} Hz")
+        raise NoSine(f"the fit did not settle at {frequency_text(omega / (2 * np.pi))}; last step "
+                     f"{frequency_text(step / (2 * np.pi))}")
     return omega, parameters, residual
 
 

@@ -160,7 +160,7 @@ def read_state(name: str, table: FileTable, folder: Path, registry: Registry) ->
     elif len(chip.states) == 1:
         state = chip.states[0]
     else:
-        raise InputError(table.source, table.at("state"), "nothing", "one of the chip's states: "
+        raise InputError(table.source, table.at("state"), None, "one of the chip's states: "
                          + ", ".join(s.name for s in chip.states))
     held_out = table.flag("held_out")
     temperature = table.optional_quantity("temperature", "temperature")

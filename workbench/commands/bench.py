@@ -193,7 +193,7 @@ def _connected(options: argparse.Namespace, console: Console) -> tuple[Device, s
     requested = model_options(options, chip)
     console.print(f"simulating {chip.name} ...", markup=False)
     state = chip.state(options.state).name
-    frequencies = frequency_grid(requested.band, requested.points)
+    frequencies = frequency_grid(requested.band, requested.points, source="bench simulate")
     # The simulated device has finer physics than a model that is fitted to it: a liquid sticks to its walls.
     device = fill(chip, state, replace(requested.registry, assumed_losses=True))
     for text in device.findings:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,8 +31,8 @@ def run_chips(options: argparse.Namespace, _console: Console) -> int:
             for name, chip in zip(shipped, chips, strict=True)]))
         return 0
     name = choose(options.name, shipped, source="command line", field="NAME")
-    target = options.output or Path(f"{name}.toml")
-    if target.is_dir():
+    target = Path(options.target)
+    if target.is_dir() or options.target.endswith(("/", os.sep)):
         target = target / f"{name}.toml"
     try:
         target.parent.mkdir(parents=True, exist_ok=True)

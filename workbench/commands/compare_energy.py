@@ -11,6 +11,7 @@ from workbench.commands.states import run_state
 from workbench.commands.terminal import print_paragraph, print_table, progress_bars, say_finding
 from workbench.files.errors import InputError
 from workbench.files.ownership import Outputs
+from workbench.files.quantities import frequency_text
 from workbench.files.writing import write_json
 from workbench.model.problem import fill
 from workbench.readers.energy_table import read_energy_recording, recognises_energy
@@ -54,8 +55,8 @@ def run_compare_energy(options: argparse.Namespace, outputs: Outputs, console: C
     inside = (recording.frequency >= model.band[0]) & (recording.frequency <= model.band[1])
     if inside.sum() < 2:
         raise InputError(
-            str(options.recording), "frequency", f"{recording.frequency[0]:g} to {recording.frequency[-1]:g} Hz",
-            f"2 points or more in the band of {options.chip}, {model.band[0]:g} to {model.band[1]:g} Hz; --from and "
+            str(options.recording), "frequency", frequency_text(*recording.frequency[[0, -1]]),
+            f"2 points or more in the band of {options.chip}, {frequency_text(*model.band)}; --from and "
             "--to set another band")
     folder = output_folder(options, outputs)
     with progress_bars(console) as show:

@@ -90,7 +90,7 @@ def check_motion(options: argparse.Namespace) -> None:
         InputError: anything else.
     """
     if options.drive is None:
-        raise InputError("command line", "--drive", "nothing", 'the drive, such as "10 Vpp", "10 Vpp @ 50 ohm" or '
+        raise InputError("command line", "--drive", None, 'the drive, such as "10 Vpp", "10 Vpp @ 50 ohm" or '
                          '"0.1 W": how far particles come in a time depends on it')
     if not 0.0 < options.minutes < float("inf"):
         raise InputError("command line", "--minutes", options.minutes, "a time above zero, such as 30")
@@ -123,7 +123,7 @@ def check_diagnosed(options: argparse.Namespace) -> None:
                          f"file: `workbench diagnose RECORDING --chip {given}`")
     if not _is_toml(given):
         if chip is None:
-            raise InputError("command line", "--chip", "nothing", f"the chip file that {given} is a recording of, "
+            raise InputError("command line", "--chip", None, f"the chip file that {given} is a recording of, "
                              "--chip CHIP.toml; or, in place of the recording, a campaign file, which is TOML")
         if _is_toml(chip) and not _is_chip_file(chip):
             raise InputError("command line", "--chip", str(chip), "a chip file; a campaign file, which names its "

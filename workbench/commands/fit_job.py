@@ -15,6 +15,7 @@ from materials.saving import saved_versions
 from materials.versions import check_saved_name
 from workbench.commands.parsed_options import saving_folder
 from workbench.files.errors import InputError
+from workbench.files.quantities import frequency_text
 from workbench.files.writing import write_json
 from workbench.fitting.batch import BatchMember, Job, Settings, content_key, finished
 from workbench.fitting.gel import GelCase, gel_study, with_gel
@@ -159,7 +160,7 @@ def _prepared(job: Job, settings: Settings, registry: Registry) -> tuple[Prepare
         chip = read_chip(member.chip)
         band = tuple(own if end is None else end for end, own in zip(member.band, chip.band, strict=True))
         if not 0.0 < band[0] < band[1]:
-            raise InputError(member.name, "band", f"{band[0]:g} Hz to {band[1]:g} Hz", "a rising band")
+            raise InputError(member.name, "band", frequency_text(*band), "a rising band")
         free = member.free
         if settings.algorithm != "joint":
             free = tuple(each for item in free for each in (KINDS[member.kind] if item == DEFAULT else (item,)))

@@ -14,7 +14,7 @@ from workbench.commands.parsed_options import output_folder
 from workbench.commands.terminal import print_table
 from workbench.files.errors import InputError
 from workbench.files.ownership import Outputs
-from workbench.files.quantities import parse_quantity
+from workbench.files.quantities import frequency_text, parse_quantity
 from workbench.instruments.instrument import Waveform
 from workbench.report.measurement import pairs_table
 from workbench.results.spectrum import write_spectrum
@@ -64,7 +64,7 @@ def run_import_waveforms(options: argparse.Namespace, console: Console) -> int:
         if len(found) > 1:
             frequencies = [pair.fit.frequency for pair in found]
             if len(set(frequencies)) < len(frequencies):
-                raise InputError("command line", "FILE", [f"{f:.6g} Hz" for f in frequencies],
+                raise InputError("command line", "FILE", [frequency_text(f) for f in frequencies],
                                  "pairs of different frequencies; without --resistance or --current only ratios are "
                                  "written")
             spectrum = pairs_spectrum(found, values, resistance, tolerance, probe=probe)

@@ -13,6 +13,7 @@ from workbench.commands.states import run_state
 from workbench.commands.terminal import Show, print_line, print_table, progress_bars
 from workbench.files.errors import InputError
 from workbench.files.ownership import Outputs
+from workbench.files.quantities import frequency_text
 from workbench.files.writing import write_json
 from workbench.model.discretisation import ROWS, Discretisation, discretisation
 from workbench.model.problem import build, fill
@@ -65,7 +66,7 @@ def _converge(options: argparse.Namespace, console: Console, chip: Chip, state: 
             show(label, "done", 1.0)
     for run in runs.values():
         if run.figures is None:
-            raise InputError(str(options.chip), "band", f"{model.band[0]:g} to {model.band[1]:g} Hz",
+            raise InputError(str(options.chip), "band", frequency_text(*model.band),
                              f"a band with a resonance in it ({run.no_resonance})")
     rows = [MeshRow.of(accuracy, run, runs[None]) for accuracy, run in runs.items()]
     title = f"{chip.name}, {state}"

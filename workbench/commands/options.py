@@ -71,6 +71,13 @@ def _with_model(sub: argparse.ArgumentParser) -> None:
     sub.set_defaults(points=481, at=None, full=False, relative_error="0.01 %", drive="10 Vpp", **KEPT_COLD)
 
 
+def _with_chip(sub: argparse.ArgumentParser) -> None:
+    """A chip in one of its states, and its model."""
+    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
+    _with_state(sub)
+    _with_model(sub)
+
+
 def _with_accuracy(sub: argparse.ArgumentParser) -> None:
     # argparse formats its help with %.
     sub.add_argument("--accuracy", default=ACCURACY, metavar="ERROR",
@@ -152,9 +159,7 @@ def _compare(sub: argparse.ArgumentParser) -> None:
 
 
 def _mesh(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
-    _with_state(sub)
-    _with_model(sub)
+    _with_chip(sub)
     sub.add_argument("--converge", action="store_true",
                      help="the meshes of all accuracies against a finer one; status 1 if --accuracy is not met")
     sub.add_argument("-o", "--output", type=Path, metavar="DIR",
@@ -162,9 +167,7 @@ def _mesh(sub: argparse.ArgumentParser) -> None:
 
 
 def _modes(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
-    _with_state(sub)
-    _with_model(sub)
+    _with_chip(sub)
     sub.add_argument("--orders", default="0", metavar="LIST",
                      help='numbers of waves around the axis of a round chip, such as "0,1,2" (default 0)')
     sub.add_argument("--wavelengths", default="", metavar="LIST",
@@ -187,9 +190,7 @@ def _modes(sub: argparse.ArgumentParser) -> None:
 
 
 def _along(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
-    _with_state(sub)
-    _with_model(sub)
+    _with_chip(sub)
     sub.add_argument("--points", type=int, default=241, metavar="N", help="frequencies in the band (default 241)")
     sub.add_argument("--at", metavar="FREQ", help="frequency of the energy along the channel (default: the three "
                      "highest peaks of the energy)")
@@ -203,9 +204,7 @@ def _export(sub: argparse.ArgumentParser) -> None:
 
 
 def _render(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
-    _with_state(sub)
-    _with_model(sub)
+    _with_chip(sub)
     sub.add_argument("--at", metavar="FREQ", help="frequency of the fields (default as of simulate)")
     sub.add_argument("--drive", default="10 Vpp", help=DRIVE_HELP)
     with_warmth(sub)
@@ -216,9 +215,7 @@ def _render(sub: argparse.ArgumentParser) -> None:
 
 
 def _particles(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("chip", type=Path, metavar="CHIP.toml")
-    _with_state(sub)
-    _with_model(sub)
+    _with_chip(sub)
     sub.add_argument("--drive", default=None,
                      help=f"{DRIVE_HELP.replace(' (default)', '')} (no default: the times depend on it)")
     sub.add_argument("--at", metavar="FREQ", help="frequency of the field (default as of simulate)")
@@ -247,8 +244,10 @@ def _chips(sub: argparse.ArgumentParser) -> None:
     text = "copy one of them, to begin with"
     copy = actions.add_parser("copy", help=text, description=text)
     copy.add_argument("name", metavar="NAME", help="of the list (must be given)")
-    copy.add_argument("-o", "--output", type=Path, metavar="FILE",
-                      help="file that does not exist yet, or a folder (default: NAME.toml in this folder)")
+    # A Path has no slash at its end.
+    copy.add_argument("-o", "--output", dest="target", default="./", metavar="FILE",
+                      help="file that does not exist yet, or a folder, which with a slash at its end need not exist "
+                           "(default: NAME.toml in this folder)")
 
 
 def _materials(sub: argparse.ArgumentParser) -> None:

@@ -20,9 +20,10 @@ from workbench.acoustics.heat import STILL_AIR
 from workbench.files.errors import InputError, choose
 from workbench.files.output import ROOM, begin
 from workbench.files.ownership import Outputs
-from workbench.files.quantities import parse_quantity
+from workbench.files.quantities import frequency_text, parse_quantity
 from workbench.model.discretisation import Discretisation, discretisation
 from workbench.model.drive import Drive, parse_drive, wired
+from workbench.model.job_size import check_points
 from workbench.simulation.warm import WarmUp
 
 if TYPE_CHECKING:
@@ -52,13 +53,15 @@ def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
     """The model of the options.
 
     Raises:
-        InputError: a band that does not rise, a frequency outside it, an accuracy without a mesh, or an invalid drive.
+        InputError: a band that does not rise, a frequency outside it, a number of frequencies without room in memory,
+            an accuracy without a mesh, or an invalid drive.
     """
     band = band_option(options, chip)
+    check_points(options.points, source="command line", field="--points")
     at = None if options.at is None else parse_operating_point(options.at)
     if isinstance(at, float) and not band[0] <= at <= band[1]:
         raise InputError("command line", "--at", options.at, f"a frequency within the band the mesh is made for, "
-                         f"{band[0]:g} to {band[1]:g} Hz, or a wider band by --from and --to")
+                         f"{frequency_text(*band)}, or a wider band by --from and --to")
     return ModelOptions(
         registry=user_registry(options.materials, inviscid=options.inviscid), band=band, points=options.points, at=at,
         full=options.full, relative_error=relative_error_option(options), drive=wired(parse_drive(options.drive), chip),
@@ -141,7 +144,7 @@ def band_option(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
 
     band = end(options.low, chip.band[0], "--from"), end(options.high, chip.band[1], "--to")
     if not 0.0 < band[0] < band[1]:
-        raise InputError("command line", "--from, --to", f"{band[0]:g} Hz to {band[1]:g} Hz", "a rising band")
+        raise InputError("command line", "--from, --to", frequency_text(*band), "a rising band")
     if "band" not in chip.unusual:
         check_band(chip.layers, band, "command line", "--from, --to")
     return band
@@ -177,8 +180,8 @@ def common_band(
     inside = recorded[(recorded >= band[0]) & (recorded <= band[1])]
     if inside.size < 2:
         raise InputError(
-            str(options.recording), "frequency", f"{recorded[0]:g} to {recorded[-1]:g} Hz",
-            f"2 points or more in the band of {options.chip}, {band[0]:g} to {band[1]:g} Hz; --from and --to set "
+            str(options.recording), "frequency", frequency_text(*recorded[[0, -1]]),
+            f"2 points or more in the band of {options.chip}, {frequency_text(*band)}; --from and --to set "
             "another band")
     return max(band[0], float(recorded[0])), min(band[1], float(recorded[-1]))
 

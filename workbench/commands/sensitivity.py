@@ -39,8 +39,6 @@ def run_sensitivity(options: argparse.Namespace, console: Console) -> int:
     if options.density is not None:
         chip = _with_density(chip, parse_quantity(options.density, "density", source="command line", field="--density"))
     model = model_options(options, chip)
-    if options.points < 2:
-        raise InputError("command line", "--points", options.points, "two frequencies or more")
     state = chip.state(options.state).name
     problem = build(fill(chip, state, model.registry), band=model.band,
                     accuracy=model.accuracy)

@@ -56,7 +56,7 @@ def read_axes(table: FileTable, chip: Chip, states: Sequence[str], registry: Reg
     entries = {name: FileTable.of(value, source=table.source, field=table.at(name), expected=_EXAMPLE).only(_KEYS)
                for name, value in flat_entries(table.content)}
     if not entries:
-        raise InputError(table.source, table.field, "nothing", "at least one thing that varies")
+        raise InputError(table.source, table.field, None, "at least one thing that varies")
     choices = {name: _choice(name, entry, chip, states, registry)
                for name, entry in entries.items() if "materials" in entry or name.endswith(MATERIAL)}
     common, others = _numbers(chip, states, list(choices.values()), registry)

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.dimension import as_text
 from workbench.acoustics.sound_energy import SoundEnergy, sound_energy
 from workbench.design.cavity import Cavity
 from workbench.design.resonance import HALF, Impedance, ResonantQuantity, Responding
@@ -31,6 +30,7 @@ from workbench.fem.operators import FullOperators
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import Solution, one_thread
 from workbench.files.errors import InputError
+from workbench.files.quantities import frequency_text
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.numbers import ParameterName
 from workbench.model.problem import Problem
@@ -267,8 +267,8 @@ def _sweeping(
     states = np.concatenate([each.sweep.states / np.sqrt(np.abs(each.sweep.charge)) for each in taken], axis=1)
     whole = model.truncated(states, 0.0)
     if not whole.sizes.size:
-        low, high = (as_text(float(end), "frequency") for end in taken[0].sweep.frequency[[0, -1]])
-        raise InputError("design model", "band", f"{low} to {high}", "a band in which the chip resonates")
+        raise InputError("design model", "band", frequency_text(*taken[0].sweep.frequency[[0, -1]]),
+                         "a band in which the chip resonates")
     smallest = FINER * float(whole.sizes.max())
     while True:
         found = whole.coarser(smallest**2)

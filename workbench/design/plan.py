@@ -48,7 +48,7 @@ from workbench.design.thermal import read_thermal
 from workbench.design.variables import MaterialChoice, Variable, VariedNumber
 from workbench.files.errors import InputError, choose, expect
 from workbench.files.names import check_title
-from workbench.files.quantities import ProgramSource
+from workbench.files.quantities import ProgramSource, frequency_text
 from workbench.files.tables import FileTable
 from workbench.model.discretisation import ACCURACY, discretisation
 from workbench.model.drive import Drive, read_drive
@@ -264,7 +264,7 @@ def frequency_key(head: FileTable, band: tuple[float, float]) -> float | str | N
     found = parse_operating_point(stated, source=head.source, field=head.at("frequency")) if isinstance(
         stated, str) else head.quantity("frequency", "frequency")
     if isinstance(found, float) and not band[0] <= found <= band[1]:
-        raise head.error("frequency", f'"energy", "f0", or a frequency within the band, {band[0]:g} to {band[1]:g} Hz')
+        raise head.error("frequency", f'"energy", "f0", or a frequency within the band, {frequency_text(*band)}')
     return found
 
 

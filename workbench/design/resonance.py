@@ -24,6 +24,7 @@ from workbench.fem.dual import Dual
 from workbench.fem.level import NO_NUMBERS, Level, drive_level, impedance_level
 from workbench.fem.linearised import FullSystem, LinearisedState, ReducedSystem
 from workbench.fem.solve import Solution
+from workbench.files.quantities import frequency_text
 from workbench.model.drive import Drive
 from workbench.results.merit import NoResonance
 
@@ -167,7 +168,7 @@ def find_resonance(
         NoResonance: the response is least at an edge of the band.
     """
     lowest, last = response.deepest(level), frequency.size - 1
-    bounds = f"the band {frequency[0]:.9g} to {frequency[-1]:.9g} Hz"
+    bounds = f"the band {frequency_text(*frequency[[0, -1]])}"
     if lowest is None:
         edge = int(np.argmin(level))
         raise NoResonance(f"the {response.words(float(level[edge]))} is at an edge of {bounds}",
@@ -193,7 +194,8 @@ def find_resonance(
             sides.append(_root(level_at, (ends[0], ends[1]), start, lambda each: (each.value - half, each.slope),
                                rising=step < 0))
     else:
-        reason = f"a half-power point of the resonance at {at:.9g} Hz lies outside {bounds}, or beyond a deeper one"
+        reason = (f"a half-power point of the resonance at {frequency_text(at)} lies outside {bounds}, or beyond a "
+                  "deeper one")
     better = final or model
     state = response.state(better, at, names)
     taken = [(each, response.level(better, response.state(better, each, names), turns)) for each in sides]
@@ -212,7 +214,7 @@ def _minimum(level: Callable[[float], Level], points: Real, nearest: int) -> flo
     """
     while True:
         if nearest in (0, points.size - 1):
-            raise NoResonance(f"no resonance between {points[0]:.9g} and {points[-1]:.9g} Hz",
+            raise NoResonance(f"no resonance from {frequency_text(*points[[0, -1]])}",
                               frequency=float(points[nearest]), impedance=math.nan)
         low, middle, high = map(float, points[nearest - 1 : nearest + 2])
         down = min((0, -1, 1), key=lambda step: level(float(points[nearest + step])).value)
@@ -265,5 +267,4 @@ def _root(
         frequency = following if low < following < high else 0.5 * (low + high)
         if high - low <= CONVERGED * frequency:
             break
-    raise NoResonance(f"no resonance between {ends[0]:.9g} and {ends[1]:.9g} Hz", frequency=frequency,
-                      impedance=math.nan)
+    raise NoResonance(f"no resonance from {frequency_text(*ends)}", frequency=frequency, impedance=math.nan)

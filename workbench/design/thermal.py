@@ -58,7 +58,7 @@ def read_thermal(
         if not value >= 0.0:
             raise table.error(key, "a thermal resistance of zero or more")
     if "heating" in with_parts(figures) and not found:
-        raise InputError(root.source, "thermal", "nothing", 'thermal resistances for the figure "heating", such as '
+        raise InputError(root.source, "thermal", None, 'thermal resistances for the figure "heating", such as '
                          'all = "10 K/W", or computed = "cavity"')
     return found
 

@@ -249,7 +249,7 @@ def check_tolerance_request(
     if samples < 1:
         raise InputError(source, names[0], samples, "one sample at least")
     if required and not known.inputs:
-        raise InputError(chip.file, "uncertainty", "nothing", 'something uncertain: a tolerance in the chip file, an '
+        raise InputError(chip.file, "uncertainty", None, 'something uncertain: a tolerance in the chip file, an '
                          'uncertainty in the registry, or a word such as "substrate.thickness = 20 um"')
     if sobol_points:
         check_sobol(known, sobol_points, source=source, field=names[1])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +29,18 @@ def energy_shares(operators: FullOperators, states: Complex, coefficients_of: Co
               for region, own in operators.mesh.mesh.subdomains.items() if parent_place(region) == region}
     whole = sum(energy.values(), np.zeros(states.shape[1]))
     return {region: each / whole for region, each in energy.items() if each.any()}
+
+
+def by_place(integrals: Sequence[Integral], amounts: Real) -> dict[str, Real]:
+    """Sums (n,) of amounts (n, integrals) by region or boundary.
+
+    Places whose amounts are all zero are left out.
+    """
+    found: dict[str, Real] = {}
+    for integral, amount in zip(integrals, amounts.T, strict=True):
+        place = parent_place(integral.place)
+        found[place] = found.get(place, 0.0) + amount
+    return {place: each for place, each in found.items() if each.any()}
 
 
 def cell_forms(operators: FullOperators, left: Complex, right: Complex, coefficients_of: Complex) -> Complex:

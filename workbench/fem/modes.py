@@ -26,6 +26,7 @@ from workbench.fem.forms import real_times
 from workbench.fem.operators import FullOperators
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import Factor, System, one_thread
+from workbench.files.quantities import frequency_text
 from workbench.physics.term import Values
 
 Real = NDArray[np.float64]
@@ -90,8 +91,8 @@ class ModesNotConverged(RuntimeError):
 
     def __init__(self, frequencies: Complex, changes: Real) -> None:
         worst = int(np.argmax(changes))
-        super().__init__(f"the mode at {frequencies[worst].real:.6g} Hz still moves by {changes[worst]:.1e} (relative) "
-                         f"after {ROUNDS} rounds, above {TOLERANCE:.0e}; narrow the band")
+        super().__init__(f"the mode at {frequency_text(frequencies[worst].real)} still moves by {changes[worst]:.1e} "
+                         f"(relative) after {ROUNDS} rounds, above {TOLERANCE:.0e}; narrow the band")
         self.frequencies, self.changes = frequencies, changes
 
     def __reduce__(self) -> tuple[type[ModesNotConverged], tuple[Complex, Real]]:

@@ -25,6 +25,7 @@ from workbench.fem.factorisation import Factorisation, SuperLU
 from workbench.fem.operators import FullOperators, Operators
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.sparsity import SplitMatrix, both_triangles, diagonal
+from workbench.files.quantities import frequency_text
 from workbench.jobs.memory import is_shortage, reserve_buffers
 from workbench.physics.term import Values
 from workbench.results.brief import Brief
@@ -50,7 +51,7 @@ class NotConverged(RuntimeError):
 
     def __init__(self, frequency: float, residual: float, iterate: Complex, limit: float = RESIDUAL_LIMIT) -> None:
         super().__init__(
-            f"the solve at {frequency:.6g} Hz has a scaled residual of {residual:.2e}, above {limit:.0e}; "
+            f"the solve at {frequency_text(frequency)} has a scaled residual of {residual:.2e}, above {limit:.0e}; "
             "the model may be singular there (an undamped resonance, or a region without any support)"
         )
         self.frequency, self.residual, self.iterate, self.limit = frequency, residual, iterate, limit

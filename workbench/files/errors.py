@@ -20,7 +20,8 @@ LISTED = 15
 @dataclass
 class InputError(ValueError):
     """A mistake in a user's input. ``source`` is the file or command, ``field`` the place in it, ``value`` the received
-    value and ``expected`` a description of a correct one; ``nearest`` lists valid choices close to a mistyped name."""
+    value, None if missing, and ``expected`` a description of a correct one; ``nearest`` lists valid choices close to a
+    mistyped name."""
 
     source: str
     field: str
@@ -30,7 +31,8 @@ class InputError(ValueError):
 
     def __str__(self) -> str:
         hint = f"; did you mean {' or '.join(repr(n) for n in self.nearest)}?" if self.nearest else ""
-        return f"{self.source}: {self.field}: received {_shown(self.value)}; expected {self.expected}{hint}"
+        received = "missing" if self.value is None else f"received {_shown(self.value)}"
+        return f"{self.source}: {self.field}: {received}; expected {self.expected}{hint}"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (InputError, (self.source, self.field, self.value, self.expected, self.nearest))

@@ -74,6 +74,14 @@ SHOWN: Mapping[str, tuple[str, float]] = {
     "rad": ("deg", 180.0 / math.pi), "1": ("", 1.0)}
 
 
+#: Units of messages with their factors to SI, by kind of quantity, each from its least value on.
+MESSAGE_UNITS: Mapping[str, tuple[tuple[str, float, float], ...]] = {
+    "length": (("m", 1.0, 1.0), ("mm", 1e-3, 1e-3), ("um", 1e-6, 1e-6), ("nm", 1e-9, 0.0)),
+    "frequency": (("MHz", 1e6, 1e5), ("kHz", 1e3, 1e2), ("Hz", 1.0, 0.0)),
+    "mass": (("kg", 1.0, 1.0), ("g", 1e-3, 1e-3), ("mg", 1e-6, 0.0)),
+    "stiffness": (("kN/m", 1e3, 1e3), ("N/m", 1.0, 0.0)), "density": (("kg/m^3", 1.0, 0.0),)}
+
+
 class ProgramSource(str):
     """The source of a value from a program, for error messages. Numbers from such a source are in SI and need no unit;
     in a file a length needs its unit."""
@@ -95,6 +103,23 @@ def shown_unit(unit: str) -> str:
 def shown_factor(unit: str) -> float:
     """The factor from an SI `unit` to its unit for display."""
     return SHOWN.get(unit, (unit, 1.0))[1]
+
+
+def message_unit(value: float, kind: str) -> tuple[str, float]:
+    """The unit of a message for a `value` (SI), and its factor."""
+    units = MESSAGE_UNITS[kind]
+    return next(((unit, factor) for unit, factor, least in units if abs(value) >= least), units[-1][:2])
+
+
+def frequency_text(*frequencies: float) -> str:
+    """A frequency (Hz), or a band, as text for messages.
+
+    Examples: "1.9 MHz", "0.91 to 1.155 MHz", "20 kHz to 2 MHz".
+    """
+    units = [message_unit(each, "frequency") for each in frequencies]
+    last, _ = units[-1]
+    return " to ".join(f"{each / factor:.9g}" + (f" {unit}" if unit != last else "")
+                       for each, (unit, factor) in zip(frequencies, units, strict=True)) + f" {last}"
 
 
 def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> float:

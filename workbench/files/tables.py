@@ -176,7 +176,7 @@ class FileTable:
     def required(self, key: str, expected: str) -> Any:
         """The value of a required key, of any type."""
         if key not in self.content:
-            raise self.error(key, expected, nearest_names(key, self.content))
+            raise self.error(key, expected)
         return self.content[key]
 
     def text(self, key: str, default: str | None = None, *, expected: str = "a text") -> str:

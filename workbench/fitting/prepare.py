@@ -23,6 +23,7 @@ from geometry.straight import check_stated_length
 from materials.kinds import IsotropicSolid, Material, Piezoelectric
 from materials.registry import Registry
 from workbench.files.errors import InputError, choose
+from workbench.files.quantities import frequency_text
 from workbench.fitting.held import constants, shown
 from workbench.fitting.objective import FitRecording
 from workbench.fitting.parameter import (
@@ -178,8 +179,8 @@ def in_band(measured: Spectrum, chip: Chip, band: tuple[float, float] | None, *,
     low, high = chip.band if band is None else band
     frequency = measured.frequency
     if np.count_nonzero((frequency >= low) & (frequency <= high)) < 2:
-        raise InputError(name, "frequency", f"{frequency[0]:g} to {frequency[-1]:g} Hz", f"2 points or more in the "
-                         f"band, {low:g} to {high:g} Hz; a run may name another band")
+        raise InputError(name, "frequency", frequency_text(*frequency[[0, -1]]), f"2 points or more in the "
+                         f"band, {frequency_text(low, high)}; a run may name another band")
     return measured.restricted(low, high)
 
 

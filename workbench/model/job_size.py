@@ -46,6 +46,9 @@ FIXED = 60e6
 #: Bytes per frequency of a reduced spectrum: its state, right-hand side and residual on the reduced basis.
 POINT = 5e3
 
+#: Least number of frequencies of a spectrum. Doubled, spectra of 5 to 9 frequencies are refused.
+LEAST_POINTS = 5
+
 #: Least number of full solves of a reduced model, number per resonance in the band, and largest number.
 LEAST_SOLVES, SOLVES_OF_RESONANCE, MOST_SOLVES = 8.3, 0.043, 40.0
 
@@ -143,15 +146,17 @@ def check_size(
                      f"at most {shown_memory(room.size)}, {room.limit}: {fitting}", _lost_point(band))
 
 
-def check_points(points: int, *, source: str) -> None:
-    """Raise if there is no memory for this number of frequencies.
+def check_points(points: int, *, source: str, field: str = "points") -> None:
+    """Check a number of frequencies of a spectrum.
 
     Raises:
-        InputError: too many; the error states the largest number that fits.
+        InputError: too few, or more than the memory has room for; the error states the largest number that fits.
     """
+    if points < LEAST_POINTS:
+        raise InputError(source, field, points, f"at least {LEAST_POINTS} frequencies")
     room = memory_to_use()
     if POINT * points > room.size:
-        raise InputError(source, "points", points, f"at most {_rounded(room.size / POINT)}: every frequency takes "
+        raise InputError(source, field, points, f"at most {_rounded(room.size / POINT)}: every frequency takes "
                          f"{POINT / 1e3:.0f} kB of {shown_memory(room.size)}, {room.limit}")
 
 

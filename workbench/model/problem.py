@@ -24,6 +24,7 @@ from geometry.names import (
     VACUUM,
     role_of,
 )
+from geometry.plausible import check_masses
 from geometry.section import Section
 from geometry.straight import straight_findings
 from materials.assumed import with_assumed_loss
@@ -201,7 +202,8 @@ def fill(chip: Chip, state: str | None = None, registry: Registry | None = None)
     Raises:
         InputError: unknown state or material, a transducer that is not piezoelectric, one material with two densities,
             a solid layer without a shear modulus, a particle that is not a sphere of a small compressible solid or
-            fluid, or a state beyond the limits of the formulas in its band (`workbench.model.validity`).
+            fluid, a feature about as heavy as its layer, or a state beyond the limits of the formulas in its band
+            (`workbench.model.validity`).
     """
     chosen, registry = chip.state(state), registry_of(chip, registry)
     found: dict[str, Material] = {}
@@ -232,6 +234,9 @@ def fill(chip: Chip, state: str | None = None, registry: Registry | None = None)
     device = FilledChip(chip, chosen, found, particle, inviscid=registry.inviscid)
     findings += device.check_validity(chip.band)
     _check_passive_layers(device)
+    if chip.features:
+        check_masses(chip.features, {region: material.density * device.section.volume(region)
+                                     for region, material in found.items()}, chip.unusual, chip.file)
     return replace(device, findings=tuple(dict.fromkeys(filter(None, findings))))
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.files.quantities import frequency_text
 from workbench.readers.outliers import off_the_grid, outliers
 from workbench.results.signs import lost_signs, with_signs
 from workbench.results.spectrum import Spectrum, scatter, turns_anticlockwise
@@ -59,7 +60,7 @@ class Rows:
     def named(self, points: NDArray[np.intp], frequency: NDArray[np.float64]) -> str:
         """Some points in words; one point with its `frequency` (n,) Hz."""
         words = rows_in_words(self.of(points), self.word)
-        return f"{words} ({frequency[points[0]]:.9g} Hz)" if len(points) == 1 else words
+        return f"{words} ({frequency_text(frequency[points[0]])})" if len(points) == 1 else words
 
 
 def rows_in_words(numbers: Sequence[int], word: str = "line") -> str:
@@ -106,7 +107,8 @@ def examine(spectrum: Spectrum, *, rows: Rows | None = None, shunt_gain: bool = 
     rows = Rows(tuple(range(1, points + 1)), "point") if rows is None else rows
     kinks = lost_signs(spectrum.impedance)
     if len(kinks):
-        said = f"{rows_in_words(rows.of(kinks), rows.word)} ({', '.join(f'{frequency[k]:.9g} Hz' for k in kinks[:3])})"
+        places = ", ".join(frequency_text(frequency[k]) for k in kinks[:3])
+        said = f"{rows_in_words(rows.of(kinks), rows.word)} ({places})"
         word = "negative" if spectrum.impedance.imag[kinks[0]] >= 0.0 else "positive"
         lost = Finding("unsigned", f"the phase (or reactance) is never {word} and touches zero with a kink behind "
                        f"{said}: it was written without its sign; read with correction='signs', which puts the signs "
@@ -148,8 +150,8 @@ def examine(spectrum: Spectrum, *, rows: Rows | None = None, shunt_gain: bool = 
     if not PLAUSIBLE_OHM[0] <= typical <= PLAUSIBLE_OHM[1]:
         findings.append(Finding("magnitude", f"the median |Z| is {typical:.3g} ohm: is the unit right?"))
     if spectrum.frequency[-1] < PLAUSIBLE_HZ:
-        findings.append(Finding("frequency", f"the highest frequency is {spectrum.frequency[-1]:.6g} Hz: is the unit "
-                                "right?"))
+        findings.append(Finding("frequency", f"the highest frequency is "
+                                f"{frequency_text(spectrum.frequency[-1])}: is the unit right?"))
     return tuple(findings)
 
 
@@ -173,7 +175,7 @@ def _odd_points(
         worst = max(points.tolist(), key=lambda point: abs(found[point]))
         away = abs(found[worst])
         by = f"{100.0 * np.expm1(away):.2g} %" if away < 1.0 else f"a factor of {np.exp(min(away, 700.0)):.2g}"
-        by += f" at {frequency[worst]:.9g} Hz" if len(points) > 1 else ""
+        by += f" at {frequency_text(frequency[worst])}" if len(points) > 1 else ""
         leave, it = ("leaves its", "it") if len(points) == 1 else ("leave their", "them")
         findings.append(Finding("outlier", f"{rows.named(points, frequency)} {leave} neighbours by far more than the "
                                 f"noise, by up to {by}: a faulty reading, or a resonance narrower than the step; "
@@ -200,7 +202,7 @@ def _active(spectrum: Spectrum, rows: Rows, whole: NDArray[np.bool_]) -> list[Fi
     noise = scatter(spectrum.at(whole)) if np.count_nonzero(whole) > 1 else 0.0
     beyond = active[share[active] < -BEYOND_NOISE * noise]
     words = (f"Re Z < 0 at {len(active)} of {len(share)} points, worst {spectrum.phase_deg[worst]:.2f} degrees at "
-             f"{spectrum.frequency[worst]:.9g} Hz: a passive device cannot do so (noise, or the analyser's "
+             f"{frequency_text(spectrum.frequency[worst])}: a passive device cannot do so (noise, or the analyser's "
              "compensation)")
     if len(beyond):
         words += f"; beyond the noise: {rows.named(beyond, spectrum.frequency)}; {LEAVE_OUT.format(it='them')}"

@@ -11,6 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.files.quantities import frequency_text
+
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
@@ -149,6 +151,10 @@ def _nearest(points: int, gone: tuple[int, ...], size: int) -> NDArray[np.intp]:
     return found
 
 
+def _ratio_text(step: float) -> str:
+    return f"a ratio of {np.exp(step):.8g}"
+
+
 def off_the_grid(frequency: Real) -> tuple[NDArray[np.intp], str]:
     """Frequencies (indices) beside the even steps of the others, and the step.
 
@@ -159,7 +165,7 @@ def off_the_grid(frequency: Real) -> tuple[NDArray[np.intp], str]:
     if len(frequency) < FEWEST[1]:
         return nothing, ""
     off, even = OFF_THE_GRID
-    for x, word in ((frequency, "{:.6g} Hz"), (np.log(frequency), "a ratio of {:.8g}")):
+    for x, word in ((frequency, frequency_text), (np.log(frequency), _ratio_text)):
         steps = np.diff(x)
         step = float(np.median(steps))
         between = np.abs(x[2:] - x[:-2] - 2.0 * step) < even * step
@@ -172,5 +178,5 @@ def off_the_grid(frequency: Real) -> tuple[NDArray[np.intp], str]:
                          and np.min(np.abs(steps[beside] / step - (2.0, 3.0))) > even], dtype=np.intp)
         rest[[0, -1]] = False
         if np.any(rest) and np.mean(np.abs(steps[rest] - step) < even * step) >= EVEN:
-            return np.sort(np.concatenate((points, ends))), word.format(step if x is frequency else np.exp(step))
+            return np.sort(np.concatenate((points, ends))), word(step)
     return nothing, ""

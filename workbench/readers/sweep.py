@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
+from workbench.files.quantities import frequency_text
 from workbench.readers.findings import Finding, Rows, examine, rows_in_words
 from workbench.readers.tables import Table
 from workbench.readers.text import READ_AS
@@ -279,7 +280,7 @@ def _joined(
     if apart[worst] <= ONE_VALUE:
         return Finding("joined", f"{of}, with the same values: joined")
     # The whole difference of two values is twice that from their mean.
-    differ = f"{of}, with values up to {200.0 * apart[worst]:.2g} % apart (at {frequency[worst]:.9g} Hz)"
+    differ = f"{of}, with values up to {200.0 * apart[worst]:.2g} % apart (at {frequency_text(frequency[worst])})"
     step = np.abs(np.diff(mean)) / np.minimum(size[:-1], size[1:])
     beside = np.minimum(np.concatenate((step[:1], step)), np.concatenate((step, step[-1:])))
     times, least, most = TWO_STATES

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from workbench.fem.dense import solve_dense
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import System, krylov, one_thread
+from workbench.files.quantities import frequency_text
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -96,8 +97,8 @@ def _response(system: System, loads: Real, frequencies: Real, tolerance: float) 
         if len(done) >= LEAST and error <= tolerance:
             return found
     raise ResponseNotConverged(
-        f"the response to a load is off by {error:.1e} (relative) at {frequencies[done[-1]]:.6g} Hz after {MOST} "
-        f"factorisations, above {tolerance:.0e}; narrow the band")
+        f"the response to a load is off by {error:.1e} (relative) at {frequency_text(frequencies[done[-1]])} after "
+        f"{MOST} factorisations, above {tolerance:.0e}; narrow the band")
 
 
 def _next(frequencies: Real, change: Real, done: list[int]) -> int:

@@ -132,7 +132,7 @@ def _pattern(shot: DrawnState, folder: Path) -> tuple[_Pictures, str]:
 
     if shot.pattern is None:
         return [], "the chip file has no features, or the cavity no liquid"
-    path = pattern.draw_pattern(shot.pattern, shot.traps, folder / f"pattern_{shot.state}.png")
+    path = pattern.draw_pattern(shot.pattern, folder / f"pattern_{shot.state}.png")
     return [Picture(path, f"{shot.state}: the sound in the cavity with features, from above, at {_place(shot)}")], ""
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.acoustics.traps import TrapReport
 from workbench.render.canvas import PLAIN_COLOURS, new_figure, prefixed, save_figure
 from workbench.simulation.pattern import CavityPattern
 
@@ -17,22 +17,23 @@ Real = NDArray[np.float64]
 _POINTS = 200
 
 
-def draw_pattern(pattern: CavityPattern, traps: TrapReport | None, path: Path) -> Path:
+def draw_pattern(pattern: CavityPattern, path: Path) -> Path:
     """Draw the pressure amplitude at the height where it is largest.
 
-    With `traps` of a particle, its Gor'kov potential at the height of its deepest trap is drawn beside it, with all
-    traps whose height is within a sixteenth of a wavelength. Writes `path`.
+    The Gor'kov potential of a particle, if any, at the height of its deepest trap is drawn beside it, with all traps
+    whose height is within a sixteenth of a wavelength. Writes `path`.
     """
     from matplotlib.patches import Circle
 
     radius = 1e3 * pattern.radius
-    figure = new_figure(5.5 if traps is None else 11.0, 5.2)
-    axes = figure.subplots(1, 1 if traps is None else 2, squeeze=False)[0]
-    panels = [(pattern.height, "pressure amplitude", "Pa", _on_raster(pattern, None, pattern.height))]
-    found = () if traps is None else pattern.traps(traps.forces)
-    if traps is not None:
+    found, has_particle = pattern.traps, pattern.forces is not None
+    figure = new_figure(11.0 if has_particle else 5.5, 5.2)
+    axes = figure.subplots(1, 2 if has_particle else 1, squeeze=False)[0]
+    panels = [(pattern.height, "pressure amplitude", "Pa", _on_raster(
+        pattern.radius, pattern.height, lambda places, angles: np.abs(pattern.pressure(places, angles))))]
+    if has_particle:
         height = found[0].height if found else pattern.height
-        panels.append((height, "Gor'kov potential", "J", _on_raster(pattern, traps, height)))
+        panels.append((height, "Gor'kov potential", "J", _on_raster(pattern.radius, height, pattern.potential)))
     for axis, (height, words, unit, values) in zip(axes, panels, strict=True):
         factor, shown = prefixed(float(np.nanmax(np.abs(values))), unit)
         drawn = axis.imshow(np.ma.masked_invalid(values * factor), cmap=PLAIN_COLOURS, origin="lower",
@@ -51,18 +52,18 @@ def draw_pattern(pattern: CavityPattern, traps: TrapReport | None, path: Path) -
     return save_figure(figure, path)
 
 
-def _on_raster(pattern: CavityPattern, traps: TrapReport | None, height: float) -> Real:
-    """The pressure amplitude or the potential on a square (n, n).
+def _on_raster(radius: float, height: float, values_at: Callable[[Real, Real], Real]) -> Real:
+    """Values at places and angles on a square (m, m).
 
-    It is at a `height`, NaN beside the cavity, and the potential that of the particle of `traps`.
+    The square is at a `height` (m), with NaN beyond the `radius` (m) of the cavity. `values_at` gives the values (n, a)
+    at places (n, 2) in m and angles (a,) in rad.
     """
-    ends = np.linspace(-pattern.radius, pattern.radius, _POINTS)
+    ends = np.linspace(-radius, radius, _POINTS)
     x, y = np.meshgrid(ends, ends)
-    r, angles = np.linspace(0.0, pattern.radius, _POINTS), np.linspace(-np.pi, np.pi, 2 * _POINTS + 1)
+    r, angles = np.linspace(0.0, radius, _POINTS), np.linspace(-np.pi, np.pi, 2 * _POINTS + 1)
     places = np.column_stack([r, np.full(r.size, height)])
-    values = np.abs(pattern.pressure(places, angles)) if traps is None else pattern.potential(
-        traps.forces, places, angles)
+    values = values_at(places, angles)
     # The nearest place of the polar raster is closer than a point of the picture.
-    across = np.round(np.hypot(x, y) / pattern.radius * (r.size - 1)).astype(int)
+    across = np.round(np.hypot(x, y) / radius * (r.size - 1)).astype(int)
     around = np.round((np.arctan2(y, x) + np.pi) / (2.0 * np.pi) * (angles.size - 1)).astype(int)
     return np.where(across < r.size, values[np.minimum(across, r.size - 1), around], np.nan)

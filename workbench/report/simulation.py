@@ -117,10 +117,9 @@ def peak_modes_table(runs: Sequence[Simulation]) -> TextTable:
 def pattern_table(run: Simulation) -> TextTable:
     """The deepest traps of a particle around the axis."""
     assert run.pattern is not None
-    found = () if run.traps is None else run.pattern.traps(run.traps.forces)
     return table("trap around the axis | r (mm):.3f | z (mm):.3f | angle (deg):.0f | potential (fJ):.3g", (
         (number, trap.radius, trap.height, trap.angle, trap.potential)
-        for number, trap in enumerate(found[:MOST_LISTED], 1)))
+        for number, trap in enumerate(run.pattern.traps[:MOST_LISTED], 1)))
 
 
 def model_table(runs: Sequence[Simulation]) -> TextTable:
@@ -257,9 +256,9 @@ def simulation_record(run: Simulation) -> dict[str, Any]:
                        "axial_stiffness_n_m on_wall }") | {
             "focus_time_s": focus_time(run.traps), "net_weight_n": net_weight(forces.particle, forces.fluid)}
     if run.pattern is not None:
-        traps = () if run.traps is None else run.pattern.traps(run.traps.forces)
-        found["pattern"] = record(run.pattern, "frequency_hz orders unevenness height_m=height") | {
-            "traps": record(traps, "r_m=radius z_m=height angle_rad=angle potential_j=potential")}
+        found["pattern"] = record(
+            run.pattern, "frequency_hz orders unevenness height_m=height "
+                         "traps { r_m=radius z_m=height angle_rad=angle potential_j=potential }")
     channel = record(
         _channel(run), "mean_energy_density_j_m3=energy_density per_square_vpp_j_m3_v2=energy_per_square_volt "
                        "per_watt_j_m3_w=energy_per_watt unevenness_over_height=unevenness "

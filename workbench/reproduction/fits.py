@@ -39,6 +39,7 @@ from materials.conversions import young_and_poisson
 from materials.kinds import IsotropicSolid, Piezoelectric
 from workbench.fem.solve import NotConverged
 from workbench.files.errors import InputError, nearest_names
+from workbench.files.quantities import frequency_text
 from workbench.fitting.admissible import POISSON_RATIO, inequalities
 from workbench.fitting.objective import FitRecording
 from workbench.fitting.parameter import CERAMIC_LOSS, POLYMER_FOUR, TRANSDUCER_TEN, Parameter, parameters
@@ -303,8 +304,8 @@ class _Search:
         lowest = int(np.argmin(magnitude))
         self.resonance = float(self.measured.frequency[lowest])
         if lowest in (0, magnitude.size - 1):
-            raise InputError("fit", "recording", f"{recording.name}: the least |Z| at {self.resonance:.6g} Hz, its end",
-                             "a recording with the resonance inside")
+            raise InputError("fit", "recording", f"{recording.name}: the least |Z| at "
+                             f"{frequency_text(self.resonance)}, its end", "a recording with the resonance inside")
         self.values = dict(start)
         self.spectra = self.inadmissible = self.unpredicted = 0
         self.blocks: list[SimplexRun] = []
@@ -320,7 +321,8 @@ class _Search:
             frequency = self.measured.frequency[self._points]
             if frequency.size < len(self.start):
                 raise InputError("fit", "recording", f"{frequency.size} points within {100.0 * window:g} % of "
-                                 f"{self.resonance:.6g} Hz", f"at least as many as parameters, {len(self.start)}")
+                                 f"{frequency_text(self.resonance)}",
+                                 f"at least as many as parameters, {len(self.start)}")
             moved = tuple(dict.fromkeys(ParameterName.parse(name).key for name in self.start))
             self._models[window] = Predictor(self.problem, frequency, tangents=moved, tolerance=self.relative_error)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from workbench.files.errors import InputError
-from workbench.files.quantities import ProgramSource, parse_quantity
+from workbench.files.quantities import ProgramSource, frequency_text, parse_quantity
 from workbench.results.spectrum import Spectrum, WithSpectrum, spectrum_of
 
 #: Range of |Z| (ohm) for a fit of a circuit. Every device is well within it; far beyond it, squares overflow.
@@ -34,7 +34,8 @@ def fitted_points(given: Spectrum | WithSpectrum, band: Sequence[float | str] | 
     beyond = (seen.magnitude < FITTABLE[0]) | (seen.magnitude > FITTABLE[1])
     if np.any(beyond):
         worst = int(np.argmax(beyond))
-        raise InputError(source, "spectrum", f"|Z| = {seen.magnitude[worst]:.4g} ohm at {seen.frequency[worst]:.9g} Hz",
+        raise InputError(source, "spectrum", f"|Z| = {seen.magnitude[worst]:.4g} ohm at "
+                         f"{frequency_text(seen.frequency[worst])}",
                          f"|Z| from {FITTABLE[0]:g} to {FITTABLE[1]:g} ohm: is the unit right?")
     return seen
 
@@ -49,7 +50,7 @@ def frequency_within(near: float | str, spectrum: Spectrum, *, source: str) -> f
     first, last = np.diff(spectrum.frequency)[[0, -1]]
     # The end of a band is seldom a point.
     if not low - first <= found <= high + last:
-        raise InputError(source, "near", near, f"a frequency within the band, {low:.9g} to {high:.9g} Hz")
+        raise InputError(source, "near", near, f"a frequency within the band, {frequency_text(low, high)}")
     return found
 
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, nnls
 
 from workbench.files.errors import InputError
+from workbench.files.quantities import frequency_text
 from workbench.results.band import fitted_points, frequency_within
 from workbench.results.brief import Brief
 from workbench.results.merit import figures
@@ -199,7 +200,7 @@ def check_passive_spectrum(spectrum: Spectrum, *, source: str) -> None:
         worst = int(np.argmin(share))
         raise InputError(
             source, "spectrum",
-            f"Re Z = {spectrum.impedance[worst].real:.4g} ohm at {spectrum.frequency[worst]:.9g} Hz",
+            f"Re Z = {spectrum.impedance[worst].real:.4g} ohm at {frequency_text(spectrum.frequency[worst])}",
             "that of a passive device, Re Z > 0; if its sign was recorded wrongly, read it with correction=\"negate\"")
     # A lossy device may turn anticlockwise in a narrow band too; if it is mostly capacitive, its sign is right.
     if turns_anticlockwise(spectrum) and np.median(spectrum.impedance.imag) > 0.0:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.files.quantities import frequency_text
 from workbench.results.merit import Figures, NoResonance, figures
 from workbench.results.notebook import Shown, Summary
 from workbench.results.spectrum import Spectrum, WithSpectrum, spectrum_of
@@ -98,8 +99,8 @@ def compare(
     high = min(measured.frequency[-1], simulated.frequency[-1])
     if not low < high:
         raise ValueError(
-            f"the bands do not overlap: measured {measured.frequency[0]:.9g} to {measured.frequency[-1]:.9g} Hz, "
-            f"simulated {simulated.frequency[0]:.9g} to {simulated.frequency[-1]:.9g} Hz"
+            f"the bands do not overlap: measured {frequency_text(*measured.frequency[[0, -1]])}, "
+            f"simulated {frequency_text(*simulated.frequency[[0, -1]])}"
         )
     common = measured.restricted(low, high)
     on_grid = simulated.on(common.frequency)

@@ -16,6 +16,7 @@ from scipy.special import j0, j1
 from geometry.chip import Chip
 from geometry.measure import Axisymmetric
 from materials.kinds import Material, Piezoelectric
+from workbench.files.quantities import frequency_text
 
 #: Least ratio of width to thickness for the formulas of the thickness mode and the planar mode (EN 50324-2). Halved,
 #: radial overtones couple with the thickness mode.
@@ -118,5 +119,6 @@ def plate_of(chip: Chip, materials: Mapping[str, Material]) -> Plate | None:
 
 def _ratio(series: float, parallel: float) -> float:
     if not 0.0 < series < parallel:
-        raise ValueError(f"the parallel resonance must lie above the series one, received {parallel} and {series} Hz")
+        raise ValueError(f"the parallel resonance must lie above the series one, received "
+                         f"{frequency_text(parallel)} and {frequency_text(series)}")
     return series / parallel

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
+from workbench.files.quantities import frequency_text
 from workbench.results.coupling import Plate, effective_coupling
 from workbench.results.peaks import find_peaks
 from workbench.results.spectrum import Spectrum, WithSpectrum, spectrum_of
@@ -224,9 +225,9 @@ def _resonance(spectrum: Spectrum, near: float | None) -> tuple[float, float, fl
     candidates = tuple(float(frequency) for frequency in grid[minima])
     lowest = int(np.argmin(magnitude))
     at_lowest, least = float(grid[lowest]), float(magnitude[lowest])
-    found = f"{grid[lowest]:.9g} Hz ({magnitude[lowest]:.4g} ohm)"
-    bounds = f"the band {grid[0]:.9g} to {grid[-1]:.9g} Hz"
-    others = "; complete resonances: " + ", ".join(f"{c:.9g} Hz" for c in candidates) if candidates else ""
+    found = f"{frequency_text(grid[lowest])} ({magnitude[lowest]:.4g} ohm)"
+    bounds = f"the band {frequency_text(*grid[[0, -1]])}"
+    others = "; complete resonances: " + ", ".join(frequency_text(c) for c in candidates) if candidates else ""
     if near is not None:
         if not len(minima):
             raise NoResonance(f"no complete resonance in {bounds}; the smallest |Z| is at {found}",

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from workbench.files.quantities import frequency_text
 from workbench.results.brief import Brief
 from workbench.results.circuit import FittedNumber, least_squares_of, residual_size
 from workbench.results.merit import figures
@@ -58,7 +59,8 @@ def fit_pole(
     # Frequency from f0 in half-power half widths.
     x = (seen.frequency - start.f0) / half
     if len(x) < 5:
-        raise ValueError(f"{len(x)} points about {start.f0:.9g} Hz do not determine a pole; at least 5 are needed")
+        raise ValueError(f"{len(x)} points about {frequency_text(start.f0)} do not determine a pole; at least "
+                         "5 are needed")
     # Without an uncertainty all points of Y have equal weight, so that the peak dominates. In a relative residual the
     # points of least admittance would dominate, and with them the neighbouring modes.
     scale = np.full(len(x), start.z_min) if seen.uncertainty is None else seen.magnitude**2 / seen.uncertainty

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workbench.files.errors import InputError
+from workbench.files.quantities import frequency_text
 from workbench.results.band import fitted_points
 from workbench.results.circuit import BranchCircuit, CircuitFit, check_passive_spectrum
 from workbench.results.merit import NoResonance
@@ -138,8 +139,8 @@ def conductance_peaks(spectrum: Spectrum) -> Real:
 def _nothing(spectrum: Spectrum) -> NoResonance:
     lowest = int(np.argmin(spectrum.magnitude))
     return NoResonance(
-        f"no resonance stands out of the conductance from {spectrum.frequency[0]:.9g} to "
-        f"{spectrum.frequency[-1]:.9g} Hz", frequency=float(spectrum.frequency[lowest]),
+        f"no resonance stands out of the conductance from "
+        f"{frequency_text(*spectrum.frequency[[0, -1]])}", frequency=float(spectrum.frequency[lowest]),
         impedance=float(spectrum.magnitude[lowest]))
 
 

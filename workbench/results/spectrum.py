@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from workbench.files.errors import InputError
 from workbench.files.names import visible
+from workbench.files.quantities import frequency_text
 from workbench.files.writing import write_atomic
 from workbench.results.notebook import Shown, Summary
 from workbench.results.signs import with_signs
@@ -190,8 +191,8 @@ class Spectrum(Shown):
         inside = (self.frequency >= low) & (self.frequency <= high)
         if np.count_nonzero(inside) < 2:
             raise ValueError(
-                f"the band {low:.9g} to {high:.9g} Hz holds {np.count_nonzero(inside)} points of a spectrum from "
-                f"{self.frequency[0]:.9g} to {self.frequency[-1]:.9g} Hz; at least 2 are needed"
+                f"the band {frequency_text(low, high)} holds {np.count_nonzero(inside)} points of a spectrum from "
+                f"{frequency_text(*self.frequency[[0, -1]])}; at least 2 are needed"
             )
         return self.at(inside)
 
@@ -222,7 +223,7 @@ class Spectrum(Shown):
             if np.any(outside):
                 first = np.ravel(at)[np.argmax(np.ravel(outside))]
                 raise ValueError(
-                    f"frequency {first:.9g} Hz lies outside the spectrum, {low:.9g} to {high:.9g} Hz; "
+                    f"frequency {frequency_text(first)} lies outside the spectrum, {frequency_text(low, high)}; "
                     "a spectrum is never extrapolated"
                 )
             reflection = spline(at)

@@ -15,6 +15,7 @@ from geometry.names import CAVITY
 from materials.kinds import Fluid
 from materials.registry import Registry
 from workbench.files.errors import InputError, expect
+from workbench.files.quantities import frequency_text
 from workbench.model.drive import VoltageDrive
 from workbench.model.fluid_slopes import fluid_slopes
 from workbench.results.brief import Brief
@@ -122,8 +123,8 @@ def compare_energy(
     inside = (recording.frequency >= low) & (recording.frequency <= high)
     if np.count_nonzero(inside) < 2:
         raise InputError(recording.source or "compare_energy", "frequency",
-                         f"{recording.frequency[0]:g} to {recording.frequency[-1]:g} Hz",
-                         f"2 points or more in the simulated band, {low:g} to {high:g} Hz")
+                         frequency_text(*recording.frequency[[0, -1]]),
+                         f"2 points or more in the simulated band, {frequency_text(low, high)}")
     per_square_volt = spectrum.evaluate(recording.frequency[inside])[0] / 4.0
     away = np.log(recording.rate[inside] / per_square_volt)
     factor = float(np.exp(away.mean()))

@@ -25,7 +25,6 @@ from scipy import sparse
 
 from geometry.chip import Chip
 from geometry.measure import Straight
-from geometry.names import CAVITY, parent_place
 from geometry.straight import check_stated_length
 from materials.registry import Registry
 from workbench.acoustics.sound_energy import NoSound, SoundEnergy, peaks_of
@@ -33,6 +32,7 @@ from workbench.fem.capacitance import clamped_state
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import System
 from workbench.files.errors import InputError
+from workbench.files.quantities import frequency_text
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.model.problem import Problem, build, fill, registry_of
@@ -97,7 +97,7 @@ class EnergyProfile(Brief):
 
 @dataclass(frozen=True, eq=False)
 class CavityEnergy:
-    """The energy of the pressure in the cavity.
+    """The energy of pressures of several wave numbers in the cavity.
 
     ``matrices`` are the integrals of the energy on the unknowns ``rows``. ``coefficients`` (n, integrals) make them
     energies (J) at the frequencies (n,), over the square of the wave number where they are ``along`` (integrals,) the
@@ -118,18 +118,15 @@ class CavityEnergy:
         ------
         NoSound : there is no fluid in it.
         """
-        values = {**problem.values, ORDER: 1.0}
-        volume = 2.0 * SoundEnergy.of(operators).volume(values)  # Integrals are over half of it, the mean of cos^2.
-        acting = [q for q, each in enumerate(operators.integrals)
-                  if parent_place(each.place) == CAVITY and not each.on_boundary]
-        rows = np.unique(operators.numbering["p"])
+        sound, values = SoundEnergy.of(operators), {**problem.values, ORDER: 1.0}
+        full = sound.operators
+        assert isinstance(full, FullOperators)
+        rows = np.unique(full.numbering["p"])
         rows = rows[rows >= 0]
-        unit = np.eye(len(operators.integrals))
-        names = [{product.row for product in operators.integrals[q].products} for q in acting]
-        signs = np.array([-1.0 if each == {"p"} else 1.0 for each in names])
-        energies = operators.coefficients(2.0 * np.pi * frequencies, values)[:, acting].real * signs
-        return cls(rows, tuple(operators.matrix(unit[q].astype(complex)).real.tocsr()[rows][:, rows] for q in acting),
-                   0.25 * energies, np.array([each == {"grad_p_s, turned"} for each in names]), volume)
+        energies = 0.25 * sound.signs * full.coefficients(2.0 * np.pi * frequencies, values).real
+        return cls(rows, tuple(full.matrix(one).real.tocsr()[rows][:, rows] for one in np.eye(sound.signs.size) + 0j),
+                   energies, np.array([ORDER in each.coefficient.parameters for each in full.integrals]),
+                   2.0 * sound.volume(values))  # Integrals are over half of it, the mean of cos^2.
 
     def mean(self, pressure: Complex, wave_number: float) -> Real:
         """The mean energy density (n,) of fields of one wave number.
@@ -217,7 +214,7 @@ class FiniteLength(Shown):
         if frequency is None:
             frequency = self.peaks[0] if self.peaks else float(self.frequency[np.argmax(self.energy_density)])
         if not low <= frequency <= high:
-            raise InputError("profile", "frequency", frequency, f"a frequency within {low:g} to {high:g} Hz")
+            raise InputError("profile", "frequency", frequency, f"a frequency within {frequency_text(low, high)}")
         index = int(np.argmin(np.abs(self.frequency - frequency)))
         place = self._places
         density = self._density(index)
@@ -291,7 +288,7 @@ def finite_length(
     measure = stated_measure(chip)
     device = fill(chip, state, registry_of(chip, registry))
     span = band_of(chip, band)
-    frequencies = frequency_grid(span, points)
+    frequencies = frequency_grid(span, points, source="finite_length")
     posed = build(device, band=span, accuracy=accuracy)
     section = DrivenSection.of(posed, frequencies)
     driven = driven_length(section, measure.length, progress)

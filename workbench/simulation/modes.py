@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.measure import Straight
-from geometry.names import CAVITY, parent_place
+from geometry.names import CAVITY
 from materials.registry import Registry
 from workbench.acoustics.fields import nodal_components, section_nodes
 from workbench.acoustics.nodal import NodalMesh
 from workbench.fem.capacitance import clamped_capacitance
-from workbench.fem.energy import energy_shares
+from workbench.fem.energy import by_place, energy_shares
 from workbench.fem.modes import LEAST_Q, Eigenmodes, eigenmodes
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import System
@@ -264,13 +264,9 @@ def _ordered(shares: Mapping[str, float]) -> dict[str, float]:
 def _loss_shares(operators: FullOperators, states: Complex, coefficients: Complex) -> dict[str, Real]:
     """The share (n,) of each place in the loss of `states`."""
     forms = operators.quadratic(np.conj(states), states).real
-    lost: dict[str, Real] = {}
-    for q, integral in enumerate(operators.integrals):
-        place = parent_place(integral.place)
-        lost[place] = lost.get(place, 0.0) - coefficients[:, q].imag * forms[:, q]
+    lost = by_place(operators.integrals, -coefficients.imag * forms)
     whole = sum(lost.values(), np.zeros(states.shape[1]))
-    return {place: np.divide(each, whole, out=np.zeros(each.shape), where=whole > 0.0)
-            for place, each in lost.items() if each.any()}
+    return {place: np.divide(each, whole, out=np.zeros(each.shape), where=whole > 0.0) for place, each in lost.items()}
 
 
 def _capacitances(system: System, found: Eigenmodes) -> Real:

@@ -28,6 +28,7 @@ from workbench.acoustics.nodal import NodalMesh, gradient, interpolate
 from workbench.acoustics.radiation import gorkov_potential
 from workbench.fem.operators import FullOperators
 from workbench.fem.solve import Solution
+from workbench.files.errors import InputError
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.drive import Drive
 from workbench.model.problem import Problem
@@ -35,8 +36,8 @@ from workbench.results.brief import Brief
 from workbench.simulation.features import (
     RigidPart,
     along_circumference,
-    charge_change,
     compliance_of,
+    directions_of,
     driven_displacements,
     forces_of,
 )
@@ -74,7 +75,8 @@ class CavityPattern(Brief):
     """The pressure in the cavity around the axis.
 
     ``cosines`` and ``sines`` (N, M) are c_m and s_m in Pa on the nodes of ``mesh``, NaN beside the cavity. The
-    ``frequency`` is in Hz, ``density`` and ``sound_speed`` are those of the liquid.
+    ``frequency`` is in Hz, ``density`` and ``sound_speed`` are those of the liquid. ``forces`` have the particle of the
+    state, None without one.
     """
 
     mesh: NodalMesh
@@ -83,6 +85,7 @@ class CavityPattern(Brief):
     sound_speed: float
     cosines: Complex
     sines: Complex
+    forces: ParticleForces | None = None
 
     @property
     def orders(self) -> int:
@@ -144,20 +147,30 @@ class CavityPattern(Brief):
         slopes: Complex = np.stack([across, around, up], axis=2)
         return slopes / (2j * np.pi * self.frequency * self.density)
 
-    def potential(self, forces: ParticleForces, places: Real, angles: Real) -> Real:
-        """The Gor'kov potential (n, a) in J of the particle of `forces`."""
-        return np.asarray(gorkov_potential(
-            forces.particle, forces.fluid, scattering=forces.scattering, pressure=self.pressure(places, angles),
-            velocity=self.velocity(places, angles)))
+    def potential(self, places: Real, angles: Real) -> Real:
+        """The Gor'kov potential (n, a) in J of the particle.
 
-    def traps(self, forces: ParticleForces) -> tuple[PatternTrap, ...]:
-        """Minima of the potential of a particle, deepest first.
-
-        They are places of a raster (:data:`RASTER`), without those at walls.
+        Raises
+        ------
+        InputError : the state has no particle.
         """
+        if self.forces is None:
+            raise InputError("pattern", "particle", None, "a state with a particle")
+        return np.asarray(gorkov_potential(
+            self.forces.particle, self.forces.fluid, scattering=self.forces.scattering,
+            pressure=self.pressure(places, angles), velocity=self.velocity(places, angles)))
+
+    @cached_property
+    def traps(self) -> tuple[PatternTrap, ...]:
+        """Minima of the potential of the particle, deepest first.
+
+        They are places of a raster (:data:`RASTER`), without those at walls. Without a particle there are none.
+        """
+        if self.forces is None:
+            return ()
         r, z, angles = self._raster
         places = np.stack(np.meshgrid(r, z, indexing="ij"), axis=2).reshape(-1, 2)
-        values = self.potential(forces, places, angles).reshape(r.size, z.size, angles.size)
+        values = self.potential(places, angles).reshape(r.size, z.size, angles.size)
         inside = np.where(np.isfinite(values), values, np.inf)
         if self.orders == 1:
             inside[:] = inside[:, :, :1]
@@ -210,11 +223,13 @@ class CavityPattern(Brief):
 
 
 def cavity_pattern(
-    posed: Problem, solution: Solution, parts: Sequence[RigidPart], drive: Drive, progress: Progress = no_progress
+    posed: Problem, solution: Solution, parts: Sequence[RigidPart], drive: Drive, *,
+    forces: ParticleForces | None = None, progress: Progress = no_progress,
 ) -> CavityPattern:
     """The pressure in the cavity of a chip with rigid `parts`.
 
-    It is that under the `drive`. `solution` is that of the chip without the parts at one frequency, and 1 V.
+    It is that under the `drive`. `solution` is that of the chip without the parts at one frequency, and 1 V. The
+    `forces` have the particle of the state.
 
     Raises
     ------
@@ -233,14 +248,14 @@ def cavity_pattern(
     between = compliance_of(posed, [part.patch for part in parts], angles, solution.frequency, keep=pressure,
                             progress=progress)
     driven = driven_displacements(operators, parts, solution.states)
-    forces = forces_of(parts, solution.frequency, driven, between.total)[0]
-    change = charge_change(parts, solution.frequency, driven, between.total)
+    on_patches = forces_of(parts, solution.frequency, driven, between.total)[0]
+    change = on_patches @ np.concatenate([each[directions_of(len(parts)), 0] for each in driven])
     voltage = drive.amplitude(solution.impedance * solution.charge / (solution.charge + change))[0]
     is_along = along_circumference(len(parts))
     at = np.repeat(angles, is_along.size // len(parts))
     cosines, sines = [], []
     for order, field in enumerate(between.fields):
-        own, turned = field * forces, order * at
+        own, turned = field * on_patches, order * at
         cosines.append((own * np.where(is_along, -np.sin(turned), np.cos(turned))).sum(axis=1))
         sines.append((own * np.where(is_along, np.cos(turned), np.sin(turned))).sum(axis=1))
     cosines[0] = cosines[0] + pressure(operators, solution.states[:-1])[:, 0]
@@ -249,4 +264,5 @@ def cavity_pattern(
     count = int(np.flatnonzero(largest > NEGLIGIBLE * largest.max())[-1]) + 1
     whole = np.full((2, len(mesh.points), count), np.nan, dtype=complex)
     whole[:, inside] = voltage * both[:, :, :count]
-    return CavityPattern(mesh, float(solution.frequency[0]), fluid.density, fluid.sound_speed, whole[0], whole[1])
+    return CavityPattern(mesh, float(solution.frequency[0]), fluid.density, fluid.sound_speed, whole[0], whole[1],
+                         forces)

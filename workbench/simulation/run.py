@@ -27,6 +27,7 @@ from workbench.acoustics.fields import Fields, fields
 from workbench.acoustics.forces import particle_forces
 from workbench.acoustics.traps import TrapReport, barrier_words, find_traps
 from workbench.fem.capacitance import Capacitance, capacitance
+from workbench.fem.energy import by_place
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.solve import Solution, System
 from workbench.files.errors import InputError, expect
@@ -243,11 +244,11 @@ def simulate(
     check_operating_point(chip.operating_point if at is None else None, band or chip.band, chip.file)
     at, drive, lap = at if at is None or isinstance(at, str) else float(at), wired(drive, chip), Laps()
     device = fill(chip, state, registry := _assuming(registry, assumed_losses, inviscid))
-    _check_relative_error(relative_error)
+    _check_relative_error(relative_error, source="simulate")
     if chip.features and full:
         raise InputError(chip.file, "features", f"{len(chip.features)} in a spectrum of full solves", "reduced models "
                          "for a chip with features (without --full): they couple the orders of its fields")
-    frequencies = frequency_grid(band_of(chip, band), points)
+    frequencies = frequency_grid(band_of(chip, band), points, source="simulate")
     progress("mesh", 0.0)
     span, of_mesh, energy = (float(frequencies[0]), float(frequencies[-1])), None, None
     parts = [part_of(feature) for feature in chip.features]
@@ -281,7 +282,8 @@ def simulate(
     lap("modes of the peaks")
     pattern = None
     if chip.features and device.is_wet:
-        pattern = cavity_pattern(shot.problem, shot.solution, parts, drive, progress)
+        pattern = cavity_pattern(shot.problem, shot.solution, parts, drive, progress=progress,
+                                 forces=None if shot.traps is None else shot.traps.forces)
         more = (*more, str(pattern))
         lap("pattern around the axis")
     left_out = tuple(map(float, np.setdiff1d(frequencies, found.frequency)))
@@ -316,11 +318,11 @@ def energy_spectrum(
         NotConverged, NotEnriched: as of :func:`simulate`.
     """
     expect(chip, Chip, reader="read_chip", source="energy_spectrum", field="chip")
-    _check_relative_error(relative_error)
+    _check_relative_error(relative_error, source="energy_spectrum")
     device = fill(chip, state, _assuming(registry, True, inviscid))
     if not device.is_wet:
         raise InputError("energy_spectrum", "state", device.state.name, "a state with a liquid in its cavity")
-    frequencies = frequency_grid(band_of(chip, band), points)
+    frequencies = frequency_grid(band_of(chip, band), points, source="energy_spectrum")
     problem = build(device, band=(float(frequencies[0]), float(frequencies[-1])), accuracy=accuracy)
     model, solution = reduced(assemble(problem.mesh, problem.terms), frequencies, problem.values,
                               tolerance=relative_error, skip_singular=True, progress=progress)
@@ -340,9 +342,9 @@ def _check_operation(chip: Chip, frequency: float | None, drive: Drive | None, *
     check_drive(drive, source=source)
 
 
-def _check_relative_error(relative_error: float) -> None:
+def _check_relative_error(relative_error: float, *, source: str) -> None:
     if not 0.0 < relative_error < 1.0:
-        raise InputError("simulate", "relative_error", relative_error, "a relative error between 0 and 1")
+        raise InputError(source, "relative_error", relative_error, "a relative error between 0 and 1")
 
 
 def _mesh_error(
@@ -444,11 +446,8 @@ def check_mesh(problem: Problem, frequency: float) -> None:
 def loss_budget(solution: Solution, voltage: float) -> tuple[dict[str, float], float]:
     """Power (W) by place of the loss, and its closure. The closure is the relative difference of their sum from the
     electrical input power. `voltage` is the amplitude at the electrodes (V); the solution is at one frequency."""
-    parts = solution.dissipation()[0] * voltage**2
-    losses: dict[str, float] = {}
-    for integral, power in zip(solution.operators.integrals, parts, strict=True):
-        if power != 0.0:
-            losses[integral.place] = losses.get(integral.place, 0.0) + float(power)
+    powers = by_place(solution.operators.integrals, solution.dissipation() * voltage**2)
+    losses = {place: float(power[0]) for place, power in powers.items()}
     supplied = float(solution.input_power()[0]) * voltage**2
     return losses, abs(sum(losses.values()) / supplied - 1.0) if supplied else 0.0
 

@@ -16,6 +16,7 @@ from materials.assumed import is_lossless
 from materials.kinds import Fluid
 from workbench.fem.solve import NotConverged, Solution, System
 from workbench.files.errors import InputError
+from workbench.files.quantities import frequency_text
 from workbench.jobs.progress import Progress
 from workbench.model.job_size import check_points
 from workbench.model.problem import FilledChip
@@ -63,18 +64,16 @@ class SolvedSpectrum(Brief):
     solution: Solution | None = None
 
 
-def frequency_grid(band: tuple[float, float], points: int) -> Real:
+def frequency_grid(band: tuple[float, float], points: int, *, source: str) -> Real:
     """Equally spaced frequencies (points,) in Hz over `band`, ends included.
 
     Raises:
-        InputError: fewer than 5 points, or a band that is not rising and positive.
+        InputError: from the `source`, a wrong number of points, or a band that is not rising and positive.
     """
     low, high = band
-    if points < 5:
-        raise InputError("simulate", "points", points, "at least 5 frequencies")
-    check_points(points, source="simulate")
+    check_points(points, source=source)
     if not 0.0 < low < high < np.inf:
-        raise InputError("simulate", "band", f"{low:g} to {high:g} Hz", "a rising band of positive frequencies")
+        raise InputError(source, "band", frequency_text(low, high), "a rising band of positive frequencies")
     return np.linspace(low, high, points)
 
 
