@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.polynomial import Chebyshev
 from PIL import Image, ImageSequence
 from support import layer_text
 
 import workbench as wb
 from workbench.cli import main
 from workbench.fem.energy import by_place
-from workbench.fem.modes import ModesNotConverged, ReducedModes, eigenmodes
+from workbench.fem.modes import ModesNotConverged, ReducedModes, _Projected, eigenmodes
 from workbench.fem.operators import assemble
 from workbench.fem.solve import System
 from workbench.files.errors import InputError
@@ -333,3 +334,14 @@ def test_a_weak_mode_is_behind_its_peak_on_the_flank_of_a_strong_one() -> None:
     assert parts[0] > 2.0 * parts[1]
     assert mode_of_conductance(found, at) == 1
     assert mode_of_conductance(found, 1.0e6) == 0
+
+
+def test_a_start_at_an_exact_eigenfrequency_is_its_mode() -> None:
+    """Two springs of masses one: the matrix at w = 1 is singular to the last digit."""
+    laws = [Chebyshev([1.0]), Chebyshev([0.5, 0.0, 0.5])]  # 1 and w^2
+    model = _Projected(laws, np.array([np.diag([1.0, 4.0]), -np.eye(2)], dtype=complex))
+    found = model.mode_near(1.0 + 0.0j, np.array([0.6, 0.8], dtype=complex))
+    assert found is not None
+    omega, state = found
+    assert omega == 1.0
+    assert np.abs(state) == pytest.approx([1.0, 0.0], abs=1e-15)  # exact, but for rounding

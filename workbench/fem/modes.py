@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy.linalg
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 from scipy.linalg.blas import zgemm
@@ -402,6 +403,11 @@ class _Continued:
         return _Projected(self.laws, reduced.combinations(np.array([constants for _, constants in self.groups])))
 
 
+def _normed(state: Complex) -> Complex:
+    """A state (r,) of unit length."""
+    return np.asarray(state / np.linalg.norm(state), dtype=np.complex128)
+
+
 @dataclass(frozen=True, eq=False)
 class _Projected:
     """A model on a small basis at complex frequencies.
@@ -427,9 +433,14 @@ class _Projected:
         for _ in range(NEWTON):
             matrix, slope = self.at(omega)
             left = slope @ state
-            step = np.linalg.solve(matrix, left)
+            try:
+                step = np.linalg.solve(matrix, left)
+            except np.linalg.LinAlgError:
+                # An exact eigenfrequency: the mode is the part of the state that the matrix takes to zero.
+                space = scipy.linalg.null_space(matrix)
+                return omega, _normed(space @ (space.conj().T @ state))
             change = -complex(left @ state) / complex(left @ step)
-            state = np.asarray(step / np.linalg.norm(step), dtype=np.complex128)
+            state = _normed(step)
             omega += change
             if abs(change) <= 0.1 * SAME * abs(omega):
                 return omega, state
