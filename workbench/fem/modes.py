@@ -438,7 +438,7 @@ class _Projected:
             except np.linalg.LinAlgError:
                 # An exact eigenfrequency: the mode is the part of the state that the matrix takes to zero.
                 space = scipy.linalg.null_space(matrix)
-                return omega, _normed(space @ (space.conj().T @ state))
+                return omega, _normed(np.asarray(space @ (space.conj().T @ state), dtype=np.complex128))
             change = -complex(left @ state) / complex(left @ step)
             state = _normed(step)
             omega += change

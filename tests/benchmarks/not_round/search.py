@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from not_round.patch_orders import PatchConstants, PatchOrders, PatchResponse
@@ -248,11 +249,6 @@ class Joint:
         conditions = [replace(each, slopes=np.concatenate([each.slopes, np.zeros((4, *each.slopes.shape[1:]))]))
                       for each in search.conditions(x, free)]
 
-        def whole(y: Real) -> Real:
-            moved = x.copy()
-            moved[free] = y[:-4]
-            return moved
-
         for _ in range(ROUNDS):
             residuals = self.residuals(x, z)
             spreads = _spreads(self.likelihood.states, residuals)
@@ -260,10 +256,10 @@ class Joint:
             if before - cost < SETTLED:
                 break
             deviations, slopes = list(map(_deviations, residuals, spreads)), self._slopes(search, x, z)
-            end = minimise(lambda y, d=deviations, s=slopes: self._point(search, whole(y), y[-4:], d, s),
-                           np.concatenate([x[free], z]), low=low, high=high, scale=scale, inequalities=conditions,
-                           tolerance=1e-3, limit=STEPS, refused=EXPECTED)
-            x, z = whole(end.x), end.x[-4:]
+            point = partial(self._point, search, x, deviations, slopes)
+            end = minimise(point, np.concatenate([x[free], z]), low=low, high=high, scale=scale,
+                           inequalities=conditions, tolerance=1e-3, limit=STEPS, refused=EXPECTED)
+            x, z = _split(x, free, end.x)
         return x, z, cost
 
     def residuals(self, x: Real, z: Real) -> list[Complex]:
@@ -271,12 +267,15 @@ class Joint:
         return [log + each.at(self.model, x).change(z)
                 for log, each in zip(self.likelihood.data(NULL, x).log_ratio, self.orders, strict=True)]
 
-    def _point(self, search: FitSearch, x: Real, z: Real, deviations: Sequence[Real], slopes: Real) -> _Point:
-        """The residual at x (p,) and z (4,), in some `deviations` of the points, with its derivative.
+    def _point(self, search: FitSearch, x: Real, deviations: Sequence[Real], slopes: Real, y: Real) -> _Point:
+        """The residual at `y`, the free parameters among x (p,) and then a part, with its derivative.
 
-        `slopes` (m, p) are those of the change of the data by the known parameters.
+        It is in some `deviations` of the points; `slopes` (m, p) are those of the change of the data by the known
+        parameters.
         """
-        data, free = self.likelihood.data(NULL, x), search.free
+        free = search.free
+        x, z = _split(x, free, y)
+        data = self.likelihood.data(NULL, x)
         at = [each.at(self.model, x) for each in self.orders]
         by_part = np.stack([(_stacked(at, z + step) - _stacked(at, z - step)) / 2e-3 for step in 1e-3 * np.eye(4)],
                            axis=1)
@@ -305,6 +304,13 @@ class Joint:
             columns[:, i] = (_stacked([each.at(self.model, moved) for each in self.orders], z) - change) / (
                 0.05 * parameter.scale)
         return columns
+
+
+def _split(x: Real, free: NDArray[np.int64], y: Real) -> tuple[Real, Real]:
+    """Parameters (p,) with the `free` ones from y, and the part (4,) that follows them."""
+    moved = x.copy()
+    moved[free] = y[:-4]
+    return moved, y[-4:]
 
 
 def _stacked(states: Sequence[_StateAt], z: Real) -> Real:
