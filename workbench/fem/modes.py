@@ -440,7 +440,7 @@ class _Projected:
                 space = scipy.linalg.null_space(matrix)
                 return omega, _normed(np.asarray(space @ (space.conj().T @ state), dtype=np.complex128))
             change = -complex(left @ state) / complex(left @ step)
-            state = _normed(step)
+            state = _normed(np.asarray(step, dtype=np.complex128))
             omega += change
             if abs(change) <= 0.1 * SAME * abs(omega):
                 return omega, state
