@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from geometry.chip import Chip
     from geometry.mesh import SectionMesh
-    from materials.kinds import Material
+    from materials.kinds import Material, Piezoelectric
     from workbench.fem.operators import FullOperators
     from workbench.model.problem import Problem
     from workbench.results.spectrum import Spectrum
@@ -280,6 +280,18 @@ def modes() -> Callable[..., NDArray[np.float64]]:
 def reference_materials() -> Callable[[str], dict[str, Material]]:
     """See :func:`_reference_materials`."""
     return _reference_materials
+
+
+@pytest.fixture(scope="session")
+def plain_ceramic() -> Piezoelectric:
+    """The reference ceramic without c13, e31 and e15: u_z(z), phi(z) and u_r = 0 then solve a free disc exactly."""
+    from dataclasses import replace
+
+    from materials.kinds import Piezoelectric
+
+    material = _reference_materials("free_disc_fitted_rho7500")["transducer"]
+    assert isinstance(material, Piezoelectric)
+    return replace(material, c13=0.0, e31=0.0, e15=0.0)
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ import io
 import json
 import math
 import re
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from scipy.special import j0, j1
 
-from geometry.chip import Chip
+from geometry.chip import Chip, parse_chip
 from geometry.dimension import Dimension
 from geometry.mesh import SectionMesh
 from geometry.profile import Corner, Outline, Profile
@@ -72,6 +73,11 @@ temperature = "20 degC"
 particle = "polystyrene"
 particle_radius = "5 um"
 """
+
+
+def chip_from(text: str, source: str = "chip.toml") -> Chip:
+    """The chip of the text of a chip file."""
+    return parse_chip(tomllib.loads(text), source=source)
 
 
 def standard_json(path: Path) -> Any:

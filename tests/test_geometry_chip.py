@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from support import layer_text
 
 from geometry.chip import Chip, parse_chip, read_chip
 from geometry.chip_section import volumes
@@ -19,41 +20,16 @@ TEXT = """
 [chip]
 name = "test chip"
 band = ["0.91 MHz", "1.155 MHz"]
-[[layers]]
-role = "transducer"
-material = "pzt4"
-density = "7500 kg/m^3"
-thickness = { value = "2.02 mm", tolerance = "20 um", assumed = true, note = "caliper" }
-radius = "12.5 mm"
-electrodes = { live = "top", live_radius = "9 mm" }
-[[layers]]
-role = "couplant"
-material = "gel"
-thickness = "20 um"
-radius = "12.5 mm"
-[[layers]]
-role = "substrate"
-material = "pla"
-thickness = "0.85 mm"
-radius = "13 mm"
-[[layers]]
-role = "sidewall"
-material = "pla"
-thickness = "0.72 mm"
-radius = "13 mm"
-cavity_radius = "4 mm"
-[[layers]]
-role = "bond"
-material = "epoxy"
-thickness = "0.1 mm"
-radius = "13 mm"
-cavity_radius = "4 mm"
-[[layers]]
-role = "superstrate"
-material = "glass"
-thickness = "1 mm"
-radius = "13 mm"
-[cavity]
+""" + "".join((
+    layer_text("transducer", "pzt4", density="7500 kg/m^3",
+               thickness='{ value = "2.02 mm", tolerance = "20 um", assumed = true, note = "caliper" }',
+               radius="12.5 mm", electrodes='{ live = "top", live_radius = "9 mm" }'),
+    layer_text("couplant", "gel", thickness="20 um", radius="12.5 mm"),
+    layer_text("substrate", "pla", thickness="0.85 mm", radius="13 mm"),
+    layer_text("sidewall", "pla", thickness="0.72 mm", radius="13 mm", cavity_radius="4 mm"),
+    layer_text("bond", "epoxy", thickness="0.1 mm", radius="13 mm", cavity_radius="4 mm"),
+    layer_text("superstrate", "glass", thickness="1 mm", radius="13 mm"),
+)) + """[cavity]
 ports = { diameter = "0.4 mm", count = 2 }
 [states.empty]
 cavity = "vacuum"

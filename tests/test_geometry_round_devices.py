@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import tomllib
 
 import pytest
+from support import chip_from
 
-from geometry.chip import Chip, parse_chip
+from geometry.chip import Chip
 from geometry.chip_file import chip_text
 from geometry.names import ELECTRODE_GROUND, ELECTRODE_LIVE
 from geometry.section import Electrode, cut_section
@@ -26,11 +26,11 @@ def transducer(thickness: str, more: str = "") -> str:
 
 
 def read(*parts: str) -> Chip:
-    return parse_chip(tomllib.loads(HEAD + "".join(parts)), source="device.toml")
+    return chip_from(HEAD + "".join(parts), "device.toml")
 
 
 def again(chip: Chip) -> Chip:
-    return parse_chip(tomllib.loads(chip_text(chip)), source=chip.file)
+    return chip_from(chip_text(chip), chip.file)
 
 
 RING = read(transducer("2 mm", 'inner_diameter = "6 mm"'), layer("backing", "1 mm"))

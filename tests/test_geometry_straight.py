@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support import layer_text
+from support import chip_from, layer_text
 
-from geometry.chip import Chip, parse_chip, read_chip
+from geometry.chip import Chip, read_chip
 from geometry.chip_file import write_chip
 from geometry.chip_section import volumes
 from geometry.limits import ETCHED, OFF_THE_MIDDLE, ONE_CHANNEL
@@ -43,7 +42,7 @@ cavity = "water"
 
 
 def chip(text: str = CHIP) -> Chip:
-    return parse_chip(tomllib.loads(text), source="chip.toml")
+    return chip_from(text)
 
 
 def test_a_file_says_length_symmetry_and_widths() -> None:

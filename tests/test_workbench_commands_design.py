@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support import CAVITY_LAYERS, DISC, visible
+from support import CAVITY_LAYERS, DISC, chip_from, visible
 
-from geometry.chip import Chip, parse_chip, read_chip
+from geometry.chip import Chip, read_chip
 from geometry.chip_file import write_chip
 from workbench.cli import main
 from workbench.design import optimisation
@@ -91,7 +90,7 @@ def test_a_goal_leaves_chip_report_and_record(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_the_field_before_and_after_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    chip = parse_chip(tomllib.loads(DISC + CAVITY_LAYERS + '[states.filled]\ncavity = "water"\n'), source="cell.toml")
+    chip = chip_from(DISC + CAVITY_LAYERS + '[states.filled]\ncavity = "water"\n', "cell.toml")
     shot = snapshot(chip, "filled", 400e3, accuracy=5e-2)
     monkeypatch.setattr(ChipSolver, "snapshot", lambda self, chip, frequency: shot)
     out = tmp_path / "out"

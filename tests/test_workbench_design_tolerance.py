@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pyarrow import parquet
-from support import DISC, standard_json
+from support import DISC, chip_from, standard_json
 
-from geometry.chip import Chip, parse_chip
+from geometry.chip import Chip
 from workbench.cli import main
 from workbench.design.evaluation import Evaluation
 from workbench.design.input_uncertainty import numbers_of
@@ -31,7 +30,7 @@ UNCERTAIN = ("pzt4.c33 = 1 %", f"{PZT}.c33.loss = 20 %")
 
 
 def disc() -> Chip:
-    return parse_chip(tomllib.loads(DISC), source="disc.toml")
+    return chip_from(DISC, "disc.toml")
 
 
 def solved(values: Mapping[str, float], *, gradient: bool = False) -> Evaluation:
@@ -106,7 +105,7 @@ def test_a_drive_that_stays_is_at_f0_of_the_chip_as_stated() -> None:
 
 
 def test_nothing_but_sensitivities_needs_no_requirement() -> None:
-    plain = parse_chip(tomllib.loads(DISC.replace(', tolerance = "10 um"', "")), source="disc.toml")
+    plain = chip_from(DISC.replace(', tolerance = "10 um"', ""), "disc.toml")
     found = tolerance(plain, accuracy=ACCURACY)
     assert found.yields is None
     assert found.outcomes is None

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import kstest, truncnorm, uniform
-from support import CAVITY_LAYERS, DISC, independent
+from support import CAVITY_LAYERS, DISC, chip_from, independent
 
-from geometry.chip import Chip, parse_chip
+from geometry.chip import Chip
 from materials.fit import Correlation
 from materials.kinds import Piezoelectric
 from materials.passivity import smallest_dissipation
@@ -39,7 +38,7 @@ LEVEL = 1e-4
 
 
 def chip(text: str = DISC) -> Chip:
-    return parse_chip(tomllib.loads(text), source="disc.toml")
+    return chip_from(text, "disc.toml")
 
 
 def normal(name: str, mean: float, deviation: float) -> Number:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import tomllib
 
 import pytest
-from support import CAVITY_LAYERS, DISC
+from support import CAVITY_LAYERS, DISC, chip_from
 
 from geometry.assumed import FILM_FACTOR
-from geometry.chip import Chip, parse_chip
+from geometry.chip import Chip
 from workbench.files.errors import InputError
 from workbench.model.device_numbers import assumed_by_role, bench_number, device_numbers, full_names, length_number
 from workbench.model.numbers import BENCH_ELEMENTS, CUT, Number, Stated
@@ -19,7 +18,7 @@ FILLED = DISC + CAVITY_LAYERS + '\n[states.filled]\ncavity = "water"\n'
 
 
 def chip(text: str = DISC) -> Chip:
-    return parse_chip(tomllib.loads(text), source="disc.toml")
+    return chip_from(text, "disc.toml")
 
 
 def test_a_number_lies_in_its_range() -> None:

@@ -1,12 +1,11 @@
 """Lengths as parameters of the model: the same numbers as a stretched mesh, to rounding."""
 
-from pathlib import Path
 
 import numpy as np
 import pytest
-from support import layer_text, moved_onto, quadratic
+from support import chip_from, layer_text, moved_onto, quadratic
 
-from geometry.chip import Chip, read_chip
+from geometry.chip import Chip
 from geometry.mesh import MeshError
 from geometry.names import LEVEL, outside, part_name
 from materials.registry import Registry
@@ -46,10 +45,8 @@ FREQUENCIES = np.array([4.3e5, 5.2e5])
 
 
 @pytest.fixture(scope="module")
-def chip(tmp_path_factory: pytest.TempPathFactory) -> Chip:
-    path = Path(tmp_path_factory.mktemp("chip")) / "chip.toml"
-    path.write_text(CHIP)
-    return read_chip(path)
+def chip() -> Chip:
+    return chip_from(CHIP)
 
 
 @pytest.fixture(scope="module")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from support import layer_text
+from support import chip_from, layer_text
 
-from geometry.chip import Chip, read_chip
+from geometry.chip import Chip
 from materials.registry import Registry
 from workbench.fitting.joint import FitResult, fit_parameters
 from workbench.fitting.objective import Objective
@@ -34,10 +33,8 @@ NOISE, FREQUENCIES = 1e-3, np.linspace(0.9e6, 1.17e6, 181)
 
 
 @pytest.fixture(scope="module")
-def chip(tmp_path_factory: pytest.TempPathFactory) -> Chip:
-    path: Path = tmp_path_factory.mktemp("films") / "stack.toml"
-    path.write_text(STACK)
-    return read_chip(path)
+def chip() -> Chip:
+    return chip_from(STACK)
 
 
 @pytest.fixture(scope="module")

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support import quadratic
+from support import chip_from, layer_text, quadratic
 
-from geometry.chip import Chip, read_chip
+from geometry.chip import Chip
 from materials import Registry
 from workbench.fem.operators import assemble
 from workbench.fitting.held import held_numbers
@@ -32,27 +30,13 @@ Real = NDArray[np.float64]
 
 MATERIAL = "pzt4/acevedo_2026_initial"
 MESH = quadratic(4.0)
-DISC = """
-[chip]
-name = "thin disc"
-band = ["{low} kHz", "{high} kHz"]
-[[layers]]
-role = "transducer"
-material = "pzt4/acevedo_2026_initial"
-density = "7600 kg/m^3"
-thickness = "1 mm"
-radius = {radius}
-"""
-
 #: Noise of a point, complex rms.
 NOISE = 0.003
 
 
-def disc(low: float, high: float, radius: str = '"10 mm"') -> Chip:
-    with tempfile.TemporaryDirectory() as name:
-        path = Path(name) / "disc.toml"
-        path.write_text(DISC.format(low=low, high=high, radius=radius))
-        return read_chip(path)
+def disc(low: float, high: float, radius: str = "10 mm") -> Chip:
+    return chip_from(f'[chip]\nname = "thin disc"\nband = ["{low} kHz", "{high} kHz"]\n' + layer_text(
+        "transducer", MATERIAL, density="7600 kg/m^3", thickness="1 mm", radius=radius))
 
 
 def recorded(chip: Chip, factors: Mapping[str, complex], points: int = 121) -> Spectrum:
@@ -107,7 +91,7 @@ def test_a_radial_band_frees_what_it_shows_and_a_thickness_band_other_constants(
     assert {"c11", "c12", "e31", "eps33", "c11.loss", "c12.loss", "eps33.loss"} < found
     # Below the thickness mode nothing shears along the poling.
     assert found.isdisjoint({"c44", "e15", "eps11", "c44.loss", "eps11.loss"})
-    chip = disc(2000, 2500, radius='"2.5 mm"')
+    chip = disc(2000, 2500, radius="2.5 mm")
     through = {p.parsed.local for p in prepared_of(chip, recorded(chip, {}), ("default",)).parameters}
     assert {"c33", "e33", "eps33", "c33.loss", "eps33.loss", "c44"} < through
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support import CELL
+from support import CELL, chip_from
 
 import workbench as wb
-from geometry.chip import parse_chip
 from workbench.acoustics import heat
 from workbench.files.errors import InputError
 from workbench.model.problem import fill
@@ -21,7 +19,7 @@ from workbench.simulation.liquid_motion import liquid_motion
 
 @cache
 def shot_at(volts: float) -> wb.Snapshot:
-    chip = parse_chip(tomllib.loads(CELL), source="cell.toml")
+    chip = chip_from(CELL, "cell.toml")
     return wb.snapshot(chip, "filled", 1e6, drive=wb.parse_drive(f"{volts} Vpp"), accuracy=5e-3)
 
 
@@ -88,7 +86,7 @@ def test_boiling_and_a_flow_that_carries_the_heat_are_refused(monkeypatch: pytes
 def test_a_liquid_without_a_law_moves_by_sound_alone(tmp_path: Path) -> None:
     """The sentence stands in the answer and in the notes."""
     registry = own_liquid(tmp_path)
-    chip = parse_chip(tomllib.loads(CELL.replace('"water"\ntemperature = "20 degC"', '"lawless"')), source="cell.toml")
+    chip = chip_from(CELL.replace('"water"\ntemperature = "20 degC"', '"lawless"'), "cell.toml")
     shot = wb.snapshot(chip, "filled", 1e6, registry=registry, accuracy=5e-3)
     moving = liquid_motion(shot, registry=registry)
     assert moving.heat is None

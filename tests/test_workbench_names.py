@@ -16,6 +16,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from matplotlib.text import Text
 from PIL import Image
+from support import layer_text
 
 from geometry.chip import parse_chip, read_chip
 from geometry.chip_file import chip_text
@@ -40,28 +41,12 @@ CHIP = """
 [chip]
 name = "NAME"
 band = ["0.95 MHz", "1.05 MHz"]
-[[layers]]
-role = "transducer"
-material = "MATERIAL"
-thickness = "2 mm"
-radius = "5 mm"
-[[layers]]
-role = "substrate"
-material = "pmma"
-thickness = "1 mm"
-radius = "5 mm"
-[[layers]]
-role = "sidewall"
-material = "pmma"
-thickness = "0.72 mm"
-radius = "5 mm"
-cavity_radius = "2.5 mm"
-[[layers]]
-role = "superstrate"
-material = "soda_lime_glass"
-thickness = "1 mm"
-radius = "5 mm"
-[states."STATE"]
+""" + "".join((
+    layer_text("transducer", "MATERIAL", thickness="2 mm", radius="5 mm"),
+    layer_text("substrate", "pmma", thickness="1 mm", radius="5 mm"),
+    layer_text("sidewall", "pmma", thickness="0.72 mm", radius="5 mm", cavity_radius="2.5 mm"),
+    layer_text("superstrate", "soda_lime_glass", thickness="1 mm", radius="5 mm"),
+)) + """[states."STATE"]
 cavity = "FILLING"
 particle = "PARTICLE"
 particle_radius = "5 um"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,9 +11,8 @@ import matplotlib.image
 import numpy as np
 import pytest
 from scipy.special import jv, jvp
-from support import CELL, FluidState, block_mesh
+from support import CELL, FluidState, block_mesh, chip_from
 
-from geometry.chip import parse_chip
 from workbench.acoustics.forces import ParticleForces, particle_forces
 from workbench.fem.operators import FullOperators
 from workbench.fem.patch import Patch
@@ -34,7 +32,7 @@ ANGLES = np.array([0.2, 1.1, 2.9])
 
 @cache
 def shot() -> Snapshot:
-    return snapshot(parse_chip(tomllib.loads(CELL), source="cell.toml"), "filled", 1e6, accuracy=5e-2)
+    return snapshot(chip_from(CELL, "cell.toml"), "filled", 1e6, accuracy=5e-2)
 
 
 def pattern_of(*parts: RigidPart, peak_to_peak: float = 10.0) -> CavityPattern:
@@ -191,7 +189,7 @@ def forces_of_bead() -> ParticleForces:
 
 def test_simulate_reports_the_pattern(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     solder = '[[features]]\nkind = "mass"\nface = "bottom"\ndistance = "1.5 mm"\ndiameter = "2.4 mm"\nmass = "1 mg"\n'
-    chip = parse_chip(tomllib.loads(CELL + solder), source="cell.toml")
+    chip = chip_from(CELL + solder, "cell.toml")
     # Tests of features have the spectrum.
     monkeypatch.setattr("workbench.simulation.run.spectrum_with", lambda *given: (given[3], ()))
     run = simulate(chip, "filled", points=5, accuracy=5e-2, at=1e6)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import layer_text
+from support import chip_from, layer_text
 
-from geometry.chip import Chip, read_chip
+from geometry.chip import Chip
 from materials.registry import Registry
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
@@ -46,10 +46,8 @@ TOLERANCE = 1e-3
 
 
 @pytest.fixture(scope="module")
-def chip(tmp_path_factory: pytest.TempPathFactory) -> Chip:
-    path = Path(tmp_path_factory.mktemp("chip")) / "chip.toml"
-    path.write_text(CHIP)
-    return read_chip(path)
+def chip() -> Chip:
+    return chip_from(CHIP)
 
 
 @pytest.fixture(scope="module")

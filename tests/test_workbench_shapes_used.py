@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support import CAVITY_LAYERS, STACK, shape
+from support import CAVITY_LAYERS, STACK, chip_from, shape
 
 from geometry.assumed import SHAPE_UNCERTAINTY
-from geometry.chip import Chip, read_chip
+from geometry.chip import Chip
 from geometry.dimension import Dimension
 from geometry.stretch import admissible_range
 from materials.registry import Registry
@@ -37,14 +36,12 @@ DRAFT = math.radians(1.5)
 
 
 @pytest.fixture(scope="module")
-def chip(tmp_path_factory: pytest.TempPathFactory) -> Chip:
+def chip() -> Chip:
     """A small chip whose wall has a draft of 0 within 2 degrees."""
-    path = Path(tmp_path_factory.mktemp("chip")) / "chip.toml"
     wall = 'cavity_radius = "1.5 mm"\n'
     below = STACK.split('[[layers]]\nrole = "sample"')[0]
-    path.write_text(below + CAVITY_LAYERS.replace(
+    return chip_from(below + CAVITY_LAYERS.replace(
         wall, wall + 'draft = { value = "0 deg", tolerance = "2 deg" }\n') + '[states.filled]\ncavity = "water"\n')
-    return read_chip(path)
 
 
 def there(chip: Chip, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
-
 import numpy as np
 import pytest
-from support import quadratic
+from support import chip_from, quadratic
 
-from geometry.chip import Chip, parse_chip
+from geometry.chip import Chip
 from materials.registry import Registry
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
@@ -42,7 +40,7 @@ COARSE = quadratic(4.0)
 
 
 def plate(text: str = PLATE) -> Chip:
-    return parse_chip(tomllib.loads(text), source="plate.toml")
+    return chip_from(text, "plate.toml")
 
 
 def recorded(points: int = 121, **factors: float) -> Spectrum:

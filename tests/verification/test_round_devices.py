@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.special import jn_zeros, jv, yv
-from support import Held, fluid_modes
+from support import Held, chip_from, fluid_modes
 
-from geometry.chip import Chip, parse_chip
+from geometry.chip import Chip
 from materials.kinds import Fluid, IsotropicSolid, Material, Piezoelectric
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
@@ -29,7 +28,7 @@ def chip_of(*layers: str, band: tuple[str, str], more: str = "") -> Chip:
     """A chip of layers, each the lines of its table."""
     text = "".join(f"[[layers]]\n{layer}\n" for layer in layers)
     head = f'[chip]\nname = "device"\nband = ["{band[0]}", "{band[1]}"]\nunusual = ["band"]\n'
-    return parse_chip(tomllib.loads(head + text + more), source="device.toml")
+    return chip_from(head + text + more, "device.toml")
 
 
 @pytest.fixture(scope="module")
