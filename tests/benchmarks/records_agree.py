@@ -3,8 +3,8 @@
     .venv/bin/python tests/benchmarks/records_agree.py BEFORE AFTER --into FOLDER [--only simulate_reference]
 
 Each command runs with the program as it was at each commit, into FOLDER/COMMIT/NAME; a finished one is not run again.
-Numbers of JSON, Parquet and CSV files under the same keys are compared, and the largest relative difference of each command is
-printed with its key, with the numbers of keys on one side alone. Times are left out.
+Numbers of JSON, Parquet and CSV files under the same keys are compared, and the largest relative difference of each
+command is printed with its key, with the numbers of keys on one side alone. Times are left out.
 """
 
 from __future__ import annotations
