@@ -3,8 +3,8 @@
     .venv/bin/python tests/benchmarks/records_agree.py BEFORE AFTER --into FOLDER [--only simulate_reference]
 
 Each command runs with the program as it was at each commit, into FOLDER/COMMIT/NAME; a finished one is not run again.
-Numbers of JSON and CSV files under the same keys are compared, and the largest relative difference of each command is
-printed with its key, with the numbers of keys on one side alone. Times are left out.
+Numbers of JSON, Parquet and CSV files under the same keys are compared, and the largest relative difference of each
+command is printed with its key, with the numbers of keys on one side alone. Times are left out.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ import tarfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+from pyarrow.parquet import read_table
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -76,10 +78,12 @@ def run(name: str, commit: str, into: Path) -> Path:
 
 
 def numbers(folder: Path) -> dict[str, float]:
-    """All numbers of JSON and CSV files of a folder, by file and key."""
+    """All numbers of JSON, Parquet and CSV files of a folder, by file and key."""
     found: dict[str, float] = {}
     for path in sorted(folder.rglob("*.json")):
         found |= {f"{path.relative_to(folder)}:{key}": value for key, value in _leaves(json.loads(path.read_text()))}
+    for path in sorted(folder.rglob("*.parquet")):
+        found |= {f"{path.relative_to(folder)}:{key}": value for key, value in _leaves(read_table(path).to_pylist())}
     for path in sorted(folder.rglob("*.csv")):
         with path.open(newline="") as lines:
             for row, cells in enumerate(csv.reader(line for line in lines if not line.startswith("#"))):
