@@ -67,7 +67,8 @@ def judged(number: str, truth: Mapping[str, Any], found: Mapping[str, Any]) -> J
     """Compare an answer with the truth."""
     parameters = truth["effects"][0]["parameters"] if truth["effects"] else {}
     return Judged(number, truth["detectability"], parameters, found["verdict"],
-                  tuple(e["name"] for e in found["effects"]), found.get("not_round"))
+                  tuple(e["name"] for e in found["effects"]),
+                  found["not_round"] if (found.get("not_round") or {}).get("named") else None)
 
 
 def _seen(one: Judged) -> bool:

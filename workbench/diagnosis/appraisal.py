@@ -7,23 +7,29 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
 
+import numpy as np
+
 from workbench.campaign.assignment import check_assignment
 from workbench.campaign.campaign import Campaign
-from workbench.diagnosis.conclusion import conclude, not_finished
+from workbench.diagnosis.conclusion import conclude, evidence, not_finished
+from workbench.diagnosis.decision import MISSING, UNEXPLAINED
 from workbench.diagnosis.description import remainder_description
 from workbench.diagnosis.device import Model, device_model
-from workbench.diagnosis.findings import Found
+from workbench.diagnosis.findings import Found, NotTried
 from workbench.diagnosis.inference import DiagnosisSearch
+from workbench.diagnosis.local_models import LocalModels
 from workbench.diagnosis.next_measurement import options
+from workbench.diagnosis.not_round import can_be_located, located
 from workbench.diagnosis.observed import NotObservable
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis
-from workbench.fem.solve import one_thread
+from workbench.fem.solve import NotConverged, one_thread
 from workbench.files.errors import InputError, expect
 from workbench.jobs.process import WorkerEnded
 from workbench.jobs.progress import Progress, no_progress
 from workbench.jobs.workers import Workers, begin_workers, check_jobs
 from workbench.model.discretisation import ACCURACY, Discretisation
+from workbench.simulation.features import OrdersNotConverged
 
 
 def diagnose(
@@ -84,7 +90,29 @@ def diagnose_model(
                          f"have: {reason}; state another frequency or a stronger drive, or leave it out") from error
     diagnosis = appraised(model, results, criteria=search.criteria, started=started)
     description = remainder_description(model, diagnosis.found, diagnosis.decision, diagnosis.criteria)
+    if diagnosis.verdict == UNEXPLAINED and not search.is_over and can_be_located(model):
+        diagnosis = with_part(diagnosis, search.models, progress)
     return replace(diagnosis, description=description, seconds=time.perf_counter() - started)
+
+
+def with_part(diagnosis: Diagnosis, models: LocalModels, progress: Progress) -> Diagnosis:
+    """A diagnosis with the likeliest part beside the axis, which is its verdict if it is accepted."""
+    try:
+        found = located(models, progress)
+    except (NotConverged, OrdersNotConverged, ValueError, KeyboardInterrupt) as error:
+        return replace(diagnosis, found=replace(diagnosis.found, not_tried=(
+            *diagnosis.found.not_tried, NotTried("a part beside the axis", str(error) or "it was interrupted"))))
+    states, criteria = diagnosis.campaign.fitted, diagnosis.criteria
+    limit = min(criteria.limit(state.data * state.noise.size, float(np.sqrt(np.mean(state.noise**2))))
+                for state in states)
+    decision = diagnosis.decision
+    if found.is_accepted(criteria, limit):
+        null = next(each for each in diagnosis.found.final if not each.hypothesis.effects
+                    and not each.hypothesis.is_outside)
+        found = replace(found, named=True)
+        decision = replace(decision, verdict=MISSING, rivals=(), alike=(), is_explained=found.after < limit,
+                           chosen=evidence(models.model, null, diagnosis.found.stated, criteria))
+    return replace(diagnosis, decision=decision, not_round=found)
 
 
 def appraised(model: Model, results: Found, *, criteria: Criteria | None = None, started: float) -> Diagnosis:

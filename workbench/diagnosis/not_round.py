@@ -1,0 +1,414 @@
+"""The place and the mass of a part beside the axis, from recordings of a device that is not round.
+
+The change of ln Z is the closed form of `patch_orders`. Known parameters and part are fitted together, from the optimum
+without a part and each of a grid of distances and masses. A part moves the resonances of all orders and a fit without
+it imitates this, so that the change has to follow the known parameters: modes follow them by their forms, and are made
+again where a search goes on. Errors have heavy tails, so that the bands that a wrong part misses do not decide.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.measure import Axisymmetric
+from geometry.names import TRANSDUCER
+from workbench.campaign.state import DeviceState, reduced_chi_square
+from workbench.diagnosis.device import Model
+from workbench.diagnosis.likelihood import Hypothesis, Likelihood
+from workbench.diagnosis.local_models import LocalModels
+from workbench.diagnosis.odds import Criteria
+from workbench.diagnosis.patch_orders import PatchModes, PatchOrders, parabola
+from workbench.diagnosis.tasks import EXPECTED
+from workbench.fem.patch import Patch
+from workbench.fitting.measurement_model import log_ratio, through_bench
+from workbench.fitting.search import FitSearch
+from workbench.jobs.progress import Progress, no_progress
+from workbench.model.problem import build
+from workbench.search.constrained import minimise
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Diameter (m) of the patch of a part, that of a solder joint or a drop of glue, and the standard deviation of its
+#: logarithm.
+DIAMETER, SPREAD = 1e-3, 0.3
+
+#: Standard deviation of the relative shift of the frequencies of other orders: lengths move them as well.
+SHIFT = 2e-3
+
+#: The least mass (kg) of the grid, masses for each decade, and the largest share of the transducer's mass.
+LIGHTEST, PER_DECADE, HEAVIEST = 2e-7, 3, 0.05
+
+#: Distances of the grid; ends of least cost that are continued, by how many rounds, and whether modes are made again
+#: there; and of those, ends with a projection of their own.
+DISTANCES, CONTINUED, PROJECTED = 16, ((20, 2, False), (6, 8, True)), 2
+
+#: Patches about a place, the nearest ones of a parabola among them.
+ABOUT = 5
+
+#: Rounds of a fit with updated weights, the steps of each, and the fall of its cost that ends it.
+ROUNDS, STEPS, SETTLED = 12, 4, 0.5
+
+#: Median of |r| of complex normal residuals with standard deviation one of each part.
+MEDIAN = math.sqrt(2.0 * math.log(2.0))
+
+#: Steps of difference quotients: of known parameters in their scales, and of a part in its units.
+STEP, PART_STEP = 0.02, 1e-3
+
+NULL = Hypothesis()
+
+
+@dataclass(frozen=True)
+class PartFound:
+    """A part on the upper face of a bare transducer.
+
+    ``distance`` from the axis, ``diameter`` of its patch (m), ``mass`` (kg), and ``shift``, relative, of the
+    frequencies of other orders. ``gain`` is the fall of minus the log likelihood of errors with heavy tails,
+    ``held_out`` that of the states held out; ``before`` and ``after`` are reduced chi-squares of the fitted recordings,
+    and ``tried`` is the number of places and masses of the search. It is ``named`` if it is a verdict.
+    """
+
+    distance: float
+    mass: float
+    diameter: float
+    shift: float
+    gain: float
+    held_out: float
+    before: float
+    after: float
+    tried: int
+    named: bool = False
+
+    @property
+    def share(self) -> float:
+        """The share of the chi-square beyond noise that it explains."""
+        return (self.before - max(self.after, 1.0)) / (self.before - 1.0) if self.before > 1.0 else 0.0
+
+    def is_accepted(self, criteria: Criteria, limit: float) -> bool:
+        """Whether it is named. Within `limit`, a reduced chi-square is one of noise.
+
+        It needs the odds of the criteria for one of the places and masses of the grid, in the states held out as well,
+        and leaves noise, or the share of the residual that the criteria allow an effect.
+        """
+        return (self.gain > math.log(criteria.accepted * self.tried) and self.held_out >= 0.0
+                and (self.after < limit or self.share > criteria.most))
+
+    @property
+    def in_words(self) -> str:
+        """The part in a sentence."""
+        return (f"{self._part} explains {100.0 * self.share:.3g} % of the residual: the device is not round")
+
+    @property
+    def finding(self) -> str:
+        """Its diameter and chi-square, or why it is not named."""
+        before_and_after = f"the reduced chi-square from {self.before:.3g} to {self.after:.3g}"
+        if self.named:
+            return (f"The part covers {1e3 * self.diameter:.2f} mm. With it, known parameters change "
+                    f"{before_and_after}.")
+        return (f"The likeliest part beside the axis, {self._part} would change {before_and_after}: too little "
+                "to name it.")
+
+    @property
+    def _part(self) -> str:
+        return f"a part of {1e6 * self.mass:.2g} mg on the transducer, {1e3 * self.distance:.2f} mm from its axis,"
+
+
+def can_be_located(model: Model) -> bool:
+    """Whether the model is of recordings of one bare round disc, of stiffness and mass alone."""
+    states = model.campaign.fitted
+    return all(set(state.materials) == {TRANSDUCER} and isinstance(state.chip.measure, Axisymmetric)
+               and state.observation is None for state in (*states, *model.campaign.held_out))
+
+
+def located(models: LocalModels, progress: Progress = no_progress) -> PartFound:
+    """The likeliest part on the upper face of the bare transducer of a campaign.
+
+    Raises
+    ------
+    NotConverged, OrdersNotConverged : the orders of the device cannot be solved.
+    """
+    model = models.model
+    reach = np.array([parameter.prior or 0.0 for parameter in model.parameters])
+    likelihood = models.near(NULL, model.stated, reach)
+    states = likelihood.states
+    radius = float(states[0].chip.transducer.radius.value)
+    distances = np.linspace(DIAMETER, radius - 0.6 * DIAMETER, DISTANCES)
+    layer, material = states[0].chip.transducer, states[0].materials[TRANSDUCER]
+    heaviest = HEAVIEST * float(np.real(material.density)) * math.pi * radius**2 * layer.thickness.value
+    masses = np.geomspace(LIGHTEST, heaviest, 1 + math.ceil(PER_DECADE * math.log10(heaviest / LIGHTEST)))
+    null, without = robust(likelihood, model.stated)
+    joint = Joint.of(model, likelihood, null, distances, math.log(heaviest))
+    ends = list[_End]()
+    for k in range(DISTANCES):
+        progress("a part beside the axis", k / (2.0 * DISTANCES))
+        ends += [joint.optimum(null, np.array([math.log(mass), 0.0, 0.0, float(k)]), 1, moves=False) for mass in masses]
+    for share, (count, rounds, moves) in zip((0.5, 0.7), CONTINUED, strict=True):
+        progress("a part beside the axis", share)
+        ends = [joint.optimum(end.x, end.z, rounds, moves=moves) for end in _leading(ends, count)]
+    final = []
+    for end in _leading(ends, PROJECTED):
+        progress("a part beside the axis", 0.9)
+        spacing, distance = distances[1] - distances[0], float(np.interp(end.z[3], np.arange(DISTANCES), distances))
+        near = np.clip(distance + spacing * np.linspace(-1.0, 1.0, ABOUT), 0.5 * DIAMETER, radius - 0.51 * DIAMETER)
+        own = Joint.of(model, likelihood, end.x, near, math.log(heaviest))
+        at = np.array([*end.z[:3], float(np.interp(distance, near, np.arange(ABOUT)))])
+        final.append((own.optimum(end.x, at, ROUNDS), near))
+    end, near = min(final, key=lambda each: each[0].cost)
+    before = likelihood.data(NULL, null).log_ratio
+    return PartFound(float(np.interp(end.z[3], np.arange(ABOUT), near)), math.exp(float(end.z[0])),
+                     DIAMETER * math.exp(SPREAD * float(end.z[2])), SHIFT * float(end.z[1]), without - end.cost,
+                     _gain_held_out(models, null, end, near), _reduced(states, before), end.reduced,
+                     len(masses) * DISTANCES)
+
+
+def _gain_held_out(models: LocalModels, null: Real, end: _End, distances: Real) -> float:
+    """The fall of the cost of the states held out by a part, with the parameters of the fits; 0 without such states."""
+    if models.model.held_out is None:
+        return 0.0
+    reach = np.zeros(null.size)
+    without, there = (models.near(NULL, x, reach, held_out=True) for x in (null, end.x))
+    before = without.data(NULL, null).log_ratio
+    joint = Joint.of(models.model, there, end.x, distances, math.inf)
+    after = [residual for residual, _ in joint.residuals(there.search(NULL), end.x, end.z)]
+    return (_heavy_tailed(before, _spreads(there.states, before))
+            - _heavy_tailed(after, _spreads(there.states, after)))
+
+
+def _reduced(states: Sequence[DeviceState], residuals: Sequence[Complex]) -> float:
+    """The mean reduced chi-square of residuals (n,) of some states."""
+    return float(np.mean([reduced_chi_square(each, state.noise, state.data)
+                          for each, state in zip(residuals, states, strict=True)]))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Errors with heavy tails
+
+
+def robust(likelihood: Likelihood, x: Real) -> tuple[Real, float]:
+    """The optimum of the known parameters near x (p,), and its cost."""
+    search, cost = likelihood.search(NULL), math.inf
+    for _ in range(ROUNDS):
+        residuals = likelihood.data(NULL, x).log_ratio
+        spreads = _spreads(likelihood.states, residuals)
+        before, cost = cost, _heavy_tailed(residuals, spreads)
+        if before - cost < SETTLED:
+            break
+        x = search.minimise(x, list(map(_deviations, residuals, spreads)), limit=STEPS, tolerance=1e-3).x
+    return x, cost
+
+
+def _spreads(states: Sequence[DeviceState], residuals: Sequence[Complex]) -> list[float]:
+    """The typical deviation of each recording's points: of half of them, and no less than the noise."""
+    return [max(float(np.median(np.abs(each))) / MEDIAN, float(np.median(state.noise)))
+            for each, state in zip(residuals, states, strict=True)]
+
+
+def _deviations(residual: Complex, spread: float) -> Real:
+    """The deviations (n,) whose least squares are those of Cauchy errors about a `residual`."""
+    return spread * np.sqrt(1.0 + np.abs(residual / spread) ** 2)
+
+
+def _heavy_tailed(residuals: Sequence[Complex], spreads: Sequence[float]) -> float:
+    """Minus the log likelihood of Cauchy errors, up to a constant."""
+    return sum(float(np.log1p(np.abs(each / spread) ** 2).sum()) + 2.0 * each.size * math.log(spread)
+               for each, spread in zip(residuals, spreads, strict=True))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# The device with a part
+
+
+@dataclass(frozen=True, eq=False)
+class _StateOrders:
+    """The orders of a state, whose ``index`` is that among all recordings, with their ``modes`` at some values."""
+
+    state: DeviceState
+    index: int
+    modes: PatchModes
+
+    @classmethod
+    def of(cls, model: Model, state: DeviceState, x: Real, distances: Real) -> _StateOrders:
+        """The orders of a state, projected at x (p,)."""
+        frequency = state.measured.frequency
+        k = next(k for k, recording in enumerate(model.whole.recordings) if recording.name == state.name)
+        values = {**model.whole.recordings[k].problem.values, **model.whole.settings(x, k)[0]}
+        lengths = {name: float(np.real(values[name])) for name in state.chip.dimensions() if name in values}
+        device = replace(state.device, chip=state.chip.with_dimensions(lengths)) if lengths else state.device
+        posed = build(device, accuracy=model.accuracy, band=(float(frequency[0]), float(frequency[-1])))
+        posed = replace(posed, values={name: values.get(name, value) for name, value in posed.values.items()})
+        patches = [Patch(TRANSDUCER, True, float(each), 0.5 * DIAMETER) for each in distances]
+        orders = PatchOrders.of(posed, patches, frequency)
+        return cls(state, k, orders.at(posed.values))
+
+    def near(self, model: Model, x: Real) -> _StateOrders:
+        """The orders with their modes at x (p,)."""
+        return replace(self, modes=self.modes.model.at(self.values(model, x)))
+
+    def values(self, model: Model, x: Real) -> dict[str, complex]:
+        """Values of the state's problem at x (p,)."""
+        return {**model.whole.recordings[self.index].problem.values, **model.whole.settings(x, self.index)[0]}
+
+    def change(self, model: Model, x: Real, z: Real, free: NDArray[np.int64]) -> tuple[Complex, Complex]:
+        """The change of ln Z (n,), e^{+j w t}, by a part z (4,), and its derivatives (n, k + 4).
+
+        They are those by the parameters `free` (k,) and by the part (see :class:`Joint`).
+        """
+        scale = [STEP * model.parameters[i].scale for i in free]
+        pairs = []
+        for i, size in zip(free, scale, strict=True):
+            below, above = x.copy(), x.copy()
+            below[i], above[i] = x[i] - 0.5 * size, x[i] + 0.5 * size
+            pairs.append((self.values(model, below), self.values(model, above)))
+        count = len(self.modes.model.patches)
+        first = min(max(round(float(z[3])) - 1, 0), count - 3)
+        inertia = np.asarray(-(2.0 * np.pi * self.state.measured.frequency) ** 2, dtype=np.complex128)
+
+        here = self.modes.response(self.values(model, x), pairs, SHIFT * float(z[1]), slice(first, first + 3))
+
+        def changed(z: Real) -> tuple[Complex, Complex]:
+            return here.log_change(math.exp(float(z[0])) * inertia, math.exp(SPREAD * float(z[2])),
+                                   parabola(float(z[3]) - first - 1.0))
+
+        change, forces = changed(z)
+        slopes = here.slopes(forces, parabola(float(z[3]) - first - 1.0))
+        mass, diameter, place = ((changed(z + step)[0] - changed(z - step)[0]) / (2.0 * PART_STEP)
+                                 for step in PART_STEP * np.eye(4)[[0, 2, 3]])
+        by_part = np.stack([mass, SHIFT * slopes[:, -1], diameter, place], axis=1)
+        return np.conj(change), np.conj(np.concatenate([slopes[:, :-1] / np.array(scale), by_part], axis=1))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# The fit of both
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """A residual with its derivative, for `minimise`."""
+
+    vector: Real
+    jacobian: Real
+
+
+@dataclass(frozen=True, eq=False)
+class _End:
+    """The end of a fit: known parameters x (p,), part z (4,), cost, and reduced chi-square."""
+
+    x: Real
+    z: Real
+    cost: float
+    reduced: float
+
+
+def _leading(ends: Sequence[_End], count: int) -> list[_End]:
+    """The `count` ends of least cost, those of a place within a patch of a better one left out."""
+    chosen = list[_End]()
+    for end in sorted(ends, key=lambda each: each.cost):
+        if all(abs(end.z[3] - each.z[3]) > 0.25 or abs(end.z[0] - each.z[0]) > 0.1 for each in chosen):
+            chosen.append(end)
+    return chosen[:count]
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """Known parameters and a part together.
+
+    The part is z (4,): the log of the mass (kg), shift and log diameter in their standard deviations, and the place
+    between the patches of the ``orders``, an index. ``heaviest`` is the largest log mass.
+    """
+
+    model: Model
+    likelihood: Likelihood
+    orders: Sequence[_StateOrders]
+    heaviest: float
+
+    @classmethod
+    def of(cls, model: Model, likelihood: Likelihood, x: Real, distances: Real, heaviest: float) -> Joint:
+        """The fit of patches at `distances` (k,) from the axis, projected at x (p,)."""
+        return cls(model, likelihood, [_StateOrders.of(model, state, x, distances) for state in likelihood.states],
+                   heaviest)
+
+    def optimum(self, x: Real, z: Real, rounds: int, *, moves: bool = True) -> _End:
+        """The optimum near x (p,) and z (4,), for errors of heavy tails.
+
+        In each round the modes are made again where it is, if it `moves` them.
+        """
+        search = self.likelihood.search(NULL)
+        free, cost, known = search.free, math.inf, self
+        last = len(self.orders[0].modes.model.patches) - 1.0
+        low = np.concatenate([search.low[free], [math.log(0.1 * LIGHTEST), -4.0, -4.0, 0.0]])
+        high = np.concatenate([search.high[free], [self.heaviest, 4.0, 4.0, last]])
+        scale = np.concatenate([search.scale[free], [0.3, 1.0, 1.0, 1.0]])
+        conditions = [replace(each, slopes=np.concatenate([each.slopes, np.zeros((4, *each.slopes.shape[1:]))]))
+                      for each in search.conditions(x, free)]
+        for _ in range(rounds):
+            if moves:
+                known = replace(self, orders=[each.near(self.model, x) for each in self.orders])
+            residuals = [residual for residual, _ in known.residuals(search, x, z)]
+            spreads = _spreads(self.likelihood.states, residuals)
+            before, cost = cost, _heavy_tailed(residuals, spreads)
+            if before - cost < SETTLED:
+                break
+            point = partial(known._point, search, x, list(map(_deviations, residuals, spreads)))
+            end = minimise(point, np.concatenate([x[free], z]), low=low, high=high, scale=scale,
+                           inequalities=conditions, tolerance=1e-3, limit=STEPS, refused=EXPECTED)
+            x, z = _split(x, free, end.x)
+        residuals = [residual for residual, _ in known.residuals(search, x, z)]
+        cost = _heavy_tailed(residuals, _spreads(self.likelihood.states, residuals))
+        return _End(x, z, cost, _reduced(self.likelihood.states, residuals))
+
+    def residuals(self, search: FitSearch, x: Real, z: Real) -> list[tuple[Complex, Complex]]:
+        """ln(Z_model / Z_measured) (n,) of every fitted recording with a part, and derivatives (n, free and part)."""
+        data, found, free = self.likelihood.data(NULL, x), [], search.free
+        for k, (each, rows) in enumerate(zip(self.orders, self.likelihood.places, strict=True)):
+            real, imaginary = np.split(data.jacobian[rows][:, free], 2)
+            by_known = (real + 1j * imaginary) * each.state.noise[:, None]
+            prediction, bench = data.predictions[k], self.model.whole.settings(x, each.index)[1]
+            omega = prediction.solution.omega
+            acting = [place for place, i in enumerate(free) if not (
+                self.model.parameters[i].is_bench or self.model.parameters[i].is_dimension)]
+            change, slopes = each.change(self.model, x, z, free[acting])
+            seen, device, elements = through_bench(prediction.impedance * np.exp(change), omega, bench,
+                                                   partial(getattr, prediction, "frequency_slope"))
+            before = through_bench(prediction.impedance, omega, bench)[1]
+            columns = np.zeros((seen.size, free.size + 4), dtype=complex)
+            columns[:, :-4] = by_known * (device / before)[:, None]
+            columns[:, acting] += device[:, None] * slopes[:, :-4]
+            columns[:, -4:] = device[:, None] * slopes[:, -4:]
+            for place, i in enumerate(free):
+                key = self.model.parameters[i].parsed.key
+                if self.model.parameters[i].is_bench and by_known[:, place].any() and key in elements:
+                    columns[:, place] = elements[key]
+            found.append((log_ratio(seen, each.state.measured.impedance), columns))
+        return found
+
+    def _point(self, search: FitSearch, x: Real, deviations: Sequence[Real], y: Real) -> _Point:
+        """The residual at `y`, the free parameters among x (p,) and then a part, with its derivative.
+
+        It is in some `deviations` of the points.
+        """
+        free = search.free
+        x, z = _split(x, free, y)
+        vector, rows = [], []
+        for (residual, slopes), deviation in zip(self.residuals(search, x, z), deviations, strict=True):
+            scaled, slopes = residual / deviation, slopes / deviation[:, None]
+            vector += [scaled.real, scaled.imag]
+            rows += [slopes.real, slopes.imag]
+        count = free.size
+        prior = np.zeros((count + 2, count + 4))
+        prior[:count, :count] = search.prior_rows[np.ix_(free, free)]
+        prior[count:, count + 1:count + 3] = np.eye(2)
+        return _Point(np.concatenate([*vector, search.prior_rows[free] @ (x - search.centre), z[1:3]]),
+                      np.vstack([*rows, prior]))
+
+
+def _split(x: Real, free: NDArray[np.int64], y: Real) -> tuple[Real, Real]:
+    """Parameters (p,) with the `free` ones from y, and the part (4,) that follows them."""
+    moved = x.copy()
+    moved[free] = y[:-4]
+    return moved, y[-4:]
