@@ -148,23 +148,34 @@ def located(models: LocalModels, progress: Progress = no_progress) -> PartFound:
     for k in range(DISTANCES):
         progress("a part beside the axis", k / (2.0 * DISTANCES))
         ends += [joint.optimum(null, np.array([math.log(mass), 0.0, 0.0, float(k)]), 1, moves=False) for mass in masses]
+    tried, final = len(ends), list[tuple[_End, Real, float]]()
     for share, (count, rounds, moves) in zip((0.5, 0.7), CONTINUED, strict=True):
         progress("a part beside the axis", share)
         ends = [joint.optimum(end.x, end.z, rounds, moves=moves) for end in _leading(ends, count)]
-    final = []
-    for end in _leading(ends, PROJECTED):
+        if without - min(end.cost for end in ends) < math.log(tried):
+            # No place among so many is evident, and the further ends would be of no use.
+            final = [(min(ends, key=lambda each: each.cost), distances, 0.0)]
+            break
+    for end in () if final else _leading(ends, PROJECTED):
         progress("a part beside the axis", 0.9)
-        spacing, distance = distances[1] - distances[0], float(np.interp(end.z[3], np.arange(DISTANCES), distances))
-        near = np.clip(distance + spacing * np.linspace(-1.0, 1.0, ABOUT), 0.5 * DIAMETER, radius - 0.51 * DIAMETER)
-        own = Joint.of(model, likelihood, end.x, near, math.log(heaviest))
-        at = np.array([*end.z[:3], float(np.interp(distance, near, np.arange(ABOUT)))])
-        final.append((own.optimum(end.x, at, ROUNDS), near))
-    end, near = min(final, key=lambda each: each[0].cost)
+        own, near = _projected(model, likelihood, end, distances, radius, math.log(heaviest))
+        final.append((own, near, _gain_held_out(models, null, own, near)))
+    end, places, held_out = min(final, key=lambda each: each[0].cost)
     before = likelihood.data(NULL, null).log_ratio
-    return PartFound(float(np.interp(end.z[3], np.arange(ABOUT), near)), math.exp(float(end.z[0])),
+    return PartFound(float(np.interp(end.z[3], np.arange(places.size), places)), math.exp(float(end.z[0])),
                      DIAMETER * math.exp(SPREAD * float(end.z[2])), SHIFT * float(end.z[1]), without - end.cost,
-                     _gain_held_out(models, null, end, near), _reduced(states, before), end.reduced,
-                     len(masses) * DISTANCES)
+                     held_out, _reduced(states, before), end.reduced, tried)
+
+
+def _projected(
+    model: Model, likelihood: Likelihood, end: _End, distances: Real, radius: float, heaviest: float
+) -> tuple[_End, Real]:
+    """The optimum near an end, with orders projected there, and the distances of its patches."""
+    spacing, distance = distances[1] - distances[0], float(np.interp(end.z[3], np.arange(DISTANCES), distances))
+    near = np.clip(distance + spacing * np.linspace(-1.0, 1.0, ABOUT), 0.5 * DIAMETER, radius - 0.51 * DIAMETER)
+    own = Joint.of(model, likelihood, end.x, near, heaviest)
+    at = np.array([*end.z[:3], float(np.interp(distance, near, np.arange(ABOUT)))])
+    return own.optimum(end.x, at, ROUNDS), near
 
 
 def _gain_held_out(models: LocalModels, null: Real, end: _End, distances: Real) -> float:

@@ -39,6 +39,9 @@ DEPENDENT = 1e-4
 #: Relative change of every compliance by an order at which the sum ends, and the most orders.
 TOLERANCE, MOST_ORDERS = 5e-3, 120
 
+#: Times the band's end that the resonance of a mode is far: its compliance is taken as that where it was made.
+FAR = 2.0
+
 #: Relative change of frequency that an order without resonances does not notice, within the tolerance times it.
 NEAR = 0.02
 
@@ -64,7 +67,12 @@ class _Order:
             **values, ORDER: float(self.number if number is None else number)})
         if [list(h) for h, _ in groups] != [[1.0, 1.0], [1.0, 4.0]]:
             raise ValueError(f"order {self.number}: {len(groups)} functions of frequency; expected stiffness and mass")
-        return self.operators.by_form(np.array([constants for _, constants in groups]))
+        return np.asarray(np.array([constants for _, constants in groups]) @ self._gather)
+
+    @cached_property
+    def _gather(self) -> Real:
+        """The form (integrals, forms) of every integral."""
+        return np.eye(len(self.operators.matrices))[self.operators.forms]
 
     def at(self, values: Values, middle: float) -> _OrderModes:
         """The order by its eigenvectors at `values` of the constants, about a frequency `middle` (Hz)."""
@@ -72,24 +80,36 @@ class _Order:
         matrices = self.operators.matrices
         first, second = np.tensordot(self.constants(values), matrices[:, :rank, :rank], axes=1)
         whole = scipy.linalg.lu_factor(first + square * second, check_finite=False)
-        vectors = np.linalg.eig(scipy.linalg.lu_solve(whole, square * second, check_finite=False))[1]
+        roots, vectors = np.linalg.eig(scipy.linalg.lu_solve(whole, square * second, check_finite=False))
+        resonances = middle * np.sqrt(np.maximum((1.0 - 1.0 / roots).real, 0.0))
         forms = np.einsum("qij,jm,im->qm", matrices[:, :rank, :rank], vectors, vectors, optimize=True)
         drive = np.einsum("qi,im->qm", matrices[:, :rank, rank], vectors)
-        return _OrderModes(self, forms, np.einsum("kri,rm->kim", self.loads, vectors), drive)
+        return _OrderModes(self, resonances, forms, np.einsum("kri,rm->kim", self.loads, vectors), drive)
 
 
 @dataclass(frozen=True, eq=False)
 class _OrderModes:
     """One order by its eigenvectors at some values; at others their mixing is left out.
 
-    ``forms`` (q, r) are the forms of the eigenvectors, ``shapes`` (k, 2, r) their mean displacements of the patches,
-    and ``drive`` (q, r) their forms with the electrode's voltage.
+    ``resonances`` (r,) are in Hz, ``forms`` (q, r) the forms of the eigenvectors, ``shapes`` (k, 2, r) their mean
+    displacements of the patches, and ``drive`` (q, r) their forms with the electrode's voltage.
     """
 
     order: _Order
+    resonances: Real
     forms: Complex
     shapes: Complex
     drive: Complex
+
+    def among(self, chosen: NDArray[np.bool_]) -> _OrderModes:
+        """A copy with the `chosen` (r,) modes."""
+        return replace(self, resonances=self.resonances[chosen], forms=self.forms[:, chosen],
+                       shapes=self.shapes[..., chosen], drive=self.drive[:, chosen])
+
+    def compliance(self, values: Values, frequencies: Real) -> Complex:
+        """The compliance (n, k, 2, 2) of the patches of the order."""
+        return _ModalPart(self.shapes, self.order.constants(values) @ self.forms, _factors(frequencies),
+                          np.zeros((0, 2, 0), dtype=complex), np.ones(len(self.shapes), dtype=bool)).compliance
 
     def stiffness(self, constants: Complex, factors: Real) -> Complex:
         """The dynamic stiffness (n, r) of every mode, for `factors` (n, 2)."""
@@ -127,8 +147,14 @@ class PatchOrders:
     def at(self, values: Values) -> PatchModes:
         """The orders at `values` of the constants; others are those of the problem."""
         every, middle = self.all_values(values), float(np.median(self.frequencies))
+        near, high = list[_OrderModes](), self.high.copy()
         with one_thread():
-            return PatchModes(self, tuple(each.at(every, middle) for each in self.orders))
+            for modes in (each.at(every, middle) for each in self.orders):
+                is_near = ((modes.resonances > self.frequencies.min() / FAR) & (
+                    modes.resonances < FAR * self.frequencies.max())) | (modes.order.number == 0)
+                near.append(modes.among(is_near))
+                high[:, modes.order.which] += modes.among(~is_near).compliance(every, self.frequencies)
+        return PatchModes(self, tuple(near), high)
 
     def all_values(self, values: Values) -> dict[str, complex]:
         """The constants of the problem, with those of `values` that it has."""
@@ -137,10 +163,14 @@ class PatchOrders:
 
 @dataclass(frozen=True, eq=False)
 class PatchModes:
-    """The orders of a chip by their eigenvectors at values of its constants."""
+    """The orders of a chip by their eigenvectors at values of its constants.
+
+    ``orders`` have the modes near the band; ``high`` (n, k, 2, 2) is the compliance of all others.
+    """
 
     model: PatchOrders
     orders: tuple[_OrderModes, ...]
+    high: Complex
 
     def response(self, values: Values, slopes: Sequence[tuple[Values, Values]] = (), shift: float = 0.0,
                  chosen: slice = slice(None)) -> PatchResponse:
@@ -155,7 +185,7 @@ class PatchModes:
         by_number = [[above - below for below, above in zip(*map(self._constants, pair), strict=True)]
                      for pair in slopes]
         patches = np.arange(len(self.model.patches))[chosen]
-        total, parts = self.model.high[:, patches], list[_ModalPart]()
+        total, parts = self.high[:, patches], list[_ModalPart]()
         for place, each in enumerate(self.orders):
             here = np.flatnonzero((each.order.which >= patches[0]) & (each.order.which <= patches[-1]))
             by = np.array([every[place] for every in by_number]).reshape(len(slopes), *constants[place].shape)
@@ -204,7 +234,7 @@ class _ModalPart:
     def compliance(self) -> Complex:
         """The compliance (n, k, 2, 2)."""
         works = np.stack([self.shapes[:, i] * self.shapes[:, j] for i, j in ((0, 0), (0, 1), (1, 0), (1, 1))], axis=1)
-        whole = self.softness @ works.reshape(-1, works.shape[-1]).T
+        whole = self.softness @ works.reshape(4 * len(works), works.shape[-1]).T
         return whole.reshape(-1, len(self.shapes), 2, 2)
 
 
@@ -357,10 +387,7 @@ def _placed(found: PatchOrders, order: _Order, compliance: Complex) -> Complex:
 
 def _compliance(order: _Order, values: Values, frequencies: Real, asked: Real) -> Complex:
     """The compliance (n, k, 2, 2) of an order at frequencies `asked` (n,) near those of the band."""
-    modes = order.at(values, float(np.median(frequencies)))
-    constants = order.constants(values) @ modes.forms
-    return _ModalPart(modes.shapes, constants, _factors(asked), np.zeros((0, 2, 0), dtype=complex),
-                      np.ones(order.which.size, dtype=bool)).compliance
+    return order.at(values, float(np.median(frequencies))).compliance(values, asked)
 
 
 @dataclass(eq=False)

@@ -1,0 +1,144 @@
+"""A part beside the axis in a diagnosis: its orders by modes, the search for it, and its words."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from concealed.feature_trial import ATTACHED_MASS, make_feature_trial
+from concealed.mechanisms import NONE
+
+from workbench.campaign.campaign import read_campaign
+from workbench.diagnosis import appraisal, not_round
+from workbench.diagnosis.device import device_model
+from workbench.diagnosis.local_models import LocalModels
+from workbench.diagnosis.not_round import NULL, Joint, PartFound, can_be_located, located, robust
+from workbench.diagnosis.odds import Criteria
+from workbench.fem.operators import assemble
+from workbench.fem.patch import Patch
+from workbench.fem.solve import NotConverged, solve_full
+from workbench.simulation.features import (
+    RigidPart,
+    charge_change,
+    compliance_of,
+    driven_displacements,
+)
+
+PART = PartFound(1.5e-3, 2e-6, 1e-3, 0.0, 50.0, 20.0, 31.0, 1.02, 128)
+MASS = 2e-6
+
+
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, float]]:
+    """A bare disc with a mass, and its truth."""
+    folder = tmp_path_factory.mktemp("part") / "0001"
+    truth = make_feature_trial(1004, (ATTACHED_MASS,), folder)
+    return folder / "campaign.toml", truth.effects[0].parameters
+
+
+@pytest.fixture(scope="module")
+def joint(trial: tuple[Path, dict[str, float]]) -> tuple[Joint, Any]:
+    """A fit of three places on the disc of the trial, and its known parameters without a part."""
+    models = LocalModels(device_model(read_campaign(trial[0])))
+    model = models.model
+    likelihood = models.near(NULL, model.stated, np.array([each.prior or 0.0 for each in model.parameters]))
+    x, _ = robust(likelihood, model.stated)
+    return Joint.of(model, likelihood, x, np.array([1.5e-3, 1.6e-3, 1.7e-3]), 0.0), x
+
+
+def test_orders_by_modes_are_the_change_by_a_part(joint: tuple[Joint, Any]) -> None:
+    """Against the orders of `simulation.features`, which are solved at every frequency."""
+    fit, x = joint
+    state = fit.orders[0]
+    posed, frequency = state.modes.model.problem, state.modes.model.frequencies[::20]
+    part = RigidPart(Patch("transducer", True, 1.6e-3, 0.5e-3), mass=MASS)
+    operators = assemble(posed.mesh, posed.terms)
+    solved = solve_full(operators, frequency, posed.values)
+    between = compliance_of(posed, [part.patch], np.zeros(1), frequency)
+    change = charge_change([part], frequency, driven_displacements(operators, [part], solved.states), between.total)
+    expected = np.conj(-np.log1p(change / solved.charge))
+    found = state.change(fit.model, x, np.array([math.log(MASS), 0.0, 0.0, 1.0]), np.zeros(0, dtype=int))[0][::20]
+    off = np.abs(found - expected).max() / np.abs(expected).max()
+    print(f"change of ln Z up to {np.abs(expected).max():.2f}, off by {off:.2%} of it")
+    # Each compliance is good for 5e-3, and modes of the loaded disc amplify that.
+    assert np.abs(expected).max() > 0.1
+    assert off < 0.02
+
+
+def test_derivatives_of_a_fit_are_those_of_differences(joint: tuple[Joint, Any]) -> None:
+    fit, x = joint
+    search = fit.likelihood.search(NULL)
+    z = np.array([math.log(MASS), 0.1, 0.2, 0.9])
+    slopes = fit.residuals(search, x, z)[0][1]
+    at, scale = np.concatenate([x[search.free], z]), np.concatenate([search.scale[search.free], [0.3, 1.0, 1.0, 1.0]])
+    for i in range(at.size):
+        residuals = []
+        for sign in (1.0, -1.0):
+            moved = at.copy()
+            moved[i] += sign * 1e-3 * scale[i]
+            residuals.append(fit.residuals(search, *not_round._split(x, search.free, moved))[0][0])
+        by_difference = (residuals[0] - residuals[1]) / (2e-3 * scale[i])
+        # The difference quotients of both are good for the square of their steps.
+        assert np.abs(slopes[:, i] - by_difference).max() <= 1e-3 * np.abs(by_difference).max()
+
+
+@pytest.mark.slow
+def test_a_part_is_found_at_its_place(trial: tuple[Path, dict[str, float]], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A coarse grid is enough where a part is strong but not heavy."""
+    monkeypatch.setattr(not_round, "DISTANCES", 8)
+    monkeypatch.setattr(not_round, "CONTINUED", ((4, 2, False), (1, 8, True)))
+    monkeypatch.setattr(not_round, "PROJECTED", 1)
+    model = device_model(read_campaign(trial[0]))
+    assert can_be_located(model)
+    found = located(LocalModels(model))
+    assert found.distance == pytest.approx(trial[1]["distance"], rel=0.02)
+    assert found.mass == pytest.approx(trial[1]["mass"], rel=0.25)
+    assert found.is_accepted(Criteria(), 1.2)
+
+
+def test_a_search_without_a_part_ends_early(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_feature_trial(1002, (NONE,), tmp_path / "0002")
+    monkeypatch.setattr(not_round, "DISTANCES", 3)
+    monkeypatch.setattr(not_round, "PER_DECADE", 1)
+    monkeypatch.setattr(not_round, "_projected", lambda *_: pytest.fail("it goes on"))
+    found = located(LocalModels(device_model(read_campaign(tmp_path / "0002" / "campaign.toml"))))
+    assert not found.is_accepted(Criteria(), 1.2)
+    assert found.after == pytest.approx(found.before, rel=0.05)
+
+
+@pytest.mark.parametrize(("changed", "is_accepted"), [
+    ({}, True),
+    ({"after": 1.5}, True),
+    ({"after": 4.0}, False),
+    ({"gain": 7.0}, False),
+    ({"held_out": -0.1}, False),
+])
+def test_a_part_is_named_by_its_odds_its_residual_and_the_states_held_out(
+    changed: dict[str, float], is_accepted: bool
+) -> None:
+    assert replace(PART, **changed).is_accepted(Criteria(), 1.2) is is_accepted
+
+
+def test_a_part_is_the_headline_only_if_it_is_named() -> None:
+    assert "2 mg on the transducer, 1.50 mm from its axis, explains 99.9 % of the residual" in PART.in_words
+    assert "too little to name it" in PART.finding
+    assert "31 to 1.02" in replace(PART, named=True).finding
+
+
+def test_a_search_that_fails_is_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> PartFound:
+        raise NotConverged("no factors")
+
+    monkeypatch.setattr(appraisal, "located", fails)
+    diagnosis = appraisal.Diagnosis(*[SimpleNamespace()] * 4)  # type: ignore[arg-type]
+    made = SimpleNamespace(not_tried=())
+    monkeypatch.setattr(appraisal, "replace", lambda old, **new: SimpleNamespace(**{**vars(old), **new}))
+    object.__setattr__(diagnosis, "found", made)
+    ended = appraisal.with_part(diagnosis, SimpleNamespace(), lambda *_: None)  # type: ignore[arg-type]
+    assert ended.not_round is None
+    assert ended.found.not_tried[0].reason == "no factors"
