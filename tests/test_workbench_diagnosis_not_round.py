@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from concealed.feature_trial import ATTACHED_MASS, make_feature_trial
-from concealed.mechanisms import NONE
 
 from workbench.campaign.campaign import read_campaign
 from workbench.diagnosis import appraisal, not_round
@@ -21,8 +20,10 @@ from workbench.diagnosis.not_round import NULL, Joint, PartFound, can_be_located
 from workbench.diagnosis.odds import Criteria
 from workbench.fem.operators import assemble
 from workbench.fem.patch import Patch
-from workbench.fem.solve import NotConverged, solve_full
+from workbench.fem.solve import solve_full
+from workbench.jobs.progress import no_progress
 from workbench.simulation.features import (
+    OrdersNotConverged,
     RigidPart,
     charge_change,
     compliance_of,
@@ -101,14 +102,30 @@ def test_a_part_is_found_at_its_place(trial: tuple[Path, dict[str, float]], monk
     assert found.is_accepted(Criteria(), 1.2)
 
 
-def test_a_search_without_a_part_ends_early(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    make_feature_trial(1002, (NONE,), tmp_path / "0002")
-    monkeypatch.setattr(not_round, "DISTANCES", 3)
-    monkeypatch.setattr(not_round, "PER_DECADE", 1)
-    monkeypatch.setattr(not_round, "_projected", lambda *_: pytest.fail("it goes on"))
-    found = located(LocalModels(device_model(read_campaign(tmp_path / "0002" / "campaign.toml"))))
-    assert not found.is_accepted(Criteria(), 1.2)
-    assert found.after == pytest.approx(found.before, rel=0.05)
+@pytest.mark.parametrize(("gain", "projected"), [(1.0, 0), (100.0, 2)])
+def test_a_search_ends_early_if_no_place_is_evident(
+    trial: tuple[Path, dict[str, float]], monkeypatch: pytest.MonkeyPatch, gain: float, projected: int
+) -> None:
+    models, went_on, costs = LocalModels(device_model(read_campaign(trial[0]))), list[object](), list[float]()
+    places = iter(range(10**6))
+
+    def optimum(x: Any, z: Any, *_: object, **__: object) -> not_round._End:
+        return not_round._End(x, np.array([*z[:3], float(next(places))]), costs[0] - gain, 1.0)
+
+    def known(*given: Any) -> Any:
+        costs.append(robust(*given)[1])
+        return robust(*given)
+
+    def projected_there(*given: Any) -> Any:
+        went_on.append(given)
+        return given[2], given[3]
+
+    monkeypatch.setattr(not_round, "robust", known)
+    monkeypatch.setattr(not_round, "Joint", SimpleNamespace(of=lambda *_: SimpleNamespace(optimum=optimum)))
+    monkeypatch.setattr(not_round, "_gain_held_out", lambda *_: 0.0)
+    monkeypatch.setattr(not_round, "_projected", projected_there)
+    assert located(models).gain == pytest.approx(gain)
+    assert len(went_on) == projected
 
 
 @pytest.mark.parametrize(("changed", "is_accepted"), [
@@ -132,13 +149,11 @@ def test_a_part_is_the_headline_only_if_it_is_named() -> None:
 
 def test_a_search_that_fails_is_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> PartFound:
-        raise NotConverged("no factors")
+        raise OrdersNotConverged("too many orders matter")
 
     monkeypatch.setattr(appraisal, "located", fails)
-    diagnosis = appraisal.Diagnosis(*[SimpleNamespace()] * 4)  # type: ignore[arg-type]
-    made = SimpleNamespace(not_tried=())
     monkeypatch.setattr(appraisal, "replace", lambda old, **new: SimpleNamespace(**{**vars(old), **new}))
-    object.__setattr__(diagnosis, "found", made)
-    ended = appraisal.with_part(diagnosis, SimpleNamespace(), lambda *_: None)  # type: ignore[arg-type]
+    diagnosis: Any = SimpleNamespace(found=SimpleNamespace(not_tried=()), not_round=None)
+    ended: Any = appraisal.with_part(diagnosis, LocalModels.__new__(LocalModels), no_progress)
     assert ended.not_round is None
-    assert ended.found.not_tried[0].reason == "no factors"
+    assert ended.found.not_tried[0].reason == "too many orders matter"

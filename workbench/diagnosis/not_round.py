@@ -49,6 +49,9 @@ LIGHTEST, PER_DECADE, HEAVIEST = 2e-7, 3, 0.05
 #: there; and of those, ends with a projection of their own.
 DISTANCES, CONTINUED, PROJECTED = 16, ((20, 2, False), (6, 8, True)), 2
 
+#: Projections of such an end, each of a patch of the diameter that the last one found.
+PROJECTIONS = 2
+
 #: Patches about a place, the nearest ones of a parabola among them.
 ABOUT = 5
 
@@ -119,6 +122,11 @@ class PartFound:
         return f"a part of {1e6 * self.mass:.2g} mg on the transducer, {1e3 * self.distance:.2f} mm from its axis,"
 
 
+def diameter_of(z: Real) -> float:
+    """The diameter (m) of a part z (4,) (see :class:`Joint`)."""
+    return DIAMETER * math.exp(SPREAD * float(z[2]))
+
+
 def can_be_located(model: Model) -> bool:
     """Whether the model is of recordings of one bare round disc, of stiffness and mass alone."""
     states = model.campaign.fitted
@@ -163,19 +171,22 @@ def located(models: LocalModels, progress: Progress = no_progress) -> PartFound:
     end, places, held_out = min(final, key=lambda each: each[0].cost)
     before = likelihood.data(NULL, null).log_ratio
     return PartFound(float(np.interp(end.z[3], np.arange(places.size), places)), math.exp(float(end.z[0])),
-                     DIAMETER * math.exp(SPREAD * float(end.z[2])), SHIFT * float(end.z[1]), without - end.cost,
+                     diameter_of(end.z), SHIFT * float(end.z[1]), without - end.cost,
                      held_out, _reduced(states, before), end.reduced, tried)
 
 
 def _projected(
     model: Model, likelihood: Likelihood, end: _End, distances: Real, radius: float, heaviest: float
 ) -> tuple[_End, Real]:
-    """The optimum near an end, with orders projected there, and the distances of its patches."""
-    spacing, distance = distances[1] - distances[0], float(np.interp(end.z[3], np.arange(DISTANCES), distances))
-    near = np.clip(distance + spacing * np.linspace(-1.0, 1.0, ABOUT), 0.5 * DIAMETER, radius - 0.51 * DIAMETER)
-    own = Joint.of(model, likelihood, end.x, near, heaviest)
-    at = np.array([*end.z[:3], float(np.interp(distance, near, np.arange(ABOUT)))])
-    return own.optimum(end.x, at, ROUNDS), near
+    """The optimum near an end, with orders of a patch of its diameter projected there, and the places of these."""
+    spacing, places = distances[1] - distances[0], distances
+    for _ in range(PROJECTIONS):
+        distance, diameter = float(np.interp(end.z[3], np.arange(places.size), places)), diameter_of(end.z)
+        places = np.clip(distance + spacing * np.linspace(-1.0, 1.0, ABOUT), 0.51 * diameter, radius - 0.51 * diameter)
+        own = Joint.of(model, likelihood, end.x, places, heaviest, diameter)
+        at = np.array([*end.z[:3], float(np.interp(distance, places, np.arange(ABOUT)))])
+        end = own.optimum(end.x, at, ROUNDS)
+    return end, places
 
 
 def _gain_held_out(models: LocalModels, null: Real, end: _End, distances: Real) -> float:
@@ -185,7 +196,7 @@ def _gain_held_out(models: LocalModels, null: Real, end: _End, distances: Real) 
     reach = np.zeros(null.size)
     without, there = (models.near(NULL, x, reach, held_out=True) for x in (null, end.x))
     before = without.data(NULL, null).log_ratio
-    joint = Joint.of(models.model, there, end.x, distances, math.inf)
+    joint = Joint.of(models.model, there, end.x, distances, math.inf, diameter_of(end.z))
     after = [residual for residual, _ in joint.residuals(there.search(NULL), end.x, end.z)]
     return (_heavy_tailed(before, _spreads(there.states, before))
             - _heavy_tailed(after, _spreads(there.states, after)))
@@ -237,15 +248,19 @@ def _heavy_tailed(residuals: Sequence[Complex], spreads: Sequence[float]) -> flo
 
 @dataclass(frozen=True, eq=False)
 class _StateOrders:
-    """The orders of a state, whose ``index`` is that among all recordings, with their ``modes`` at some values."""
+    """The orders of a state, whose ``index`` is that among all recordings, with their ``modes`` at some values.
+
+    They are those of patches of a ``diameter`` (m).
+    """
 
     state: DeviceState
     index: int
     modes: PatchModes
+    diameter: float
 
     @classmethod
-    def of(cls, model: Model, state: DeviceState, x: Real, distances: Real) -> _StateOrders:
-        """The orders of a state, projected at x (p,)."""
+    def of(cls, model: Model, state: DeviceState, x: Real, distances: Real, diameter: float) -> _StateOrders:
+        """The orders of a state, projected at x (p,), of patches of a `diameter` (m)."""
         frequency = state.measured.frequency
         k = next(k for k, recording in enumerate(model.whole.recordings) if recording.name == state.name)
         values = {**model.whole.recordings[k].problem.values, **model.whole.settings(x, k)[0]}
@@ -253,9 +268,9 @@ class _StateOrders:
         device = replace(state.device, chip=state.chip.with_dimensions(lengths)) if lengths else state.device
         posed = build(device, accuracy=model.accuracy, band=(float(frequency[0]), float(frequency[-1])))
         posed = replace(posed, values={name: values.get(name, value) for name, value in posed.values.items()})
-        patches = [Patch(TRANSDUCER, True, float(each), 0.5 * DIAMETER) for each in distances]
+        patches = [Patch(TRANSDUCER, True, float(each), 0.5 * diameter) for each in distances]
         orders = PatchOrders.of(posed, patches, frequency)
-        return cls(state, k, orders.at(posed.values))
+        return cls(state, k, orders.at(posed.values), diameter)
 
     def near(self, model: Model, x: Real) -> _StateOrders:
         """The orders with their modes at x (p,)."""
@@ -283,7 +298,7 @@ class _StateOrders:
         here = self.modes.response(self.values(model, x), pairs, SHIFT * float(z[1]), slice(first, first + 3))
 
         def changed(z: Real) -> tuple[Complex, Complex]:
-            return here.log_change(math.exp(float(z[0])) * inertia, math.exp(SPREAD * float(z[2])),
+            return here.log_change(math.exp(float(z[0])) * inertia, diameter_of(z) / self.diameter,
                                    parabola(float(z[3]) - first - 1.0))
 
         change, forces = changed(z)
@@ -339,10 +354,11 @@ class Joint:
     heaviest: float
 
     @classmethod
-    def of(cls, model: Model, likelihood: Likelihood, x: Real, distances: Real, heaviest: float) -> Joint:
-        """The fit of patches at `distances` (k,) from the axis, projected at x (p,)."""
-        return cls(model, likelihood, [_StateOrders.of(model, state, x, distances) for state in likelihood.states],
-                   heaviest)
+    def of(cls, model: Model, likelihood: Likelihood, x: Real, distances: Real, heaviest: float,
+           diameter: float = DIAMETER) -> Joint:
+        """The fit of patches of a `diameter` at `distances` (k,) from the axis (m), projected at x (p,)."""
+        return cls(model, likelihood, [_StateOrders.of(model, state, x, distances, diameter)
+                                       for state in likelihood.states], heaviest)
 
     def optimum(self, x: Real, z: Real, rounds: int, *, moves: bool = True) -> _End:
         """The optimum near x (p,) and z (4,), for errors of heavy tails.
