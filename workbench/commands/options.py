@@ -246,8 +246,8 @@ def _chips(sub: argparse.ArgumentParser) -> None:
     copy.add_argument("name", metavar="NAME", help="of the list (must be given)")
     # A Path has no slash at its end.
     copy.add_argument("-o", "--output", dest="target", default="./", metavar="FILE",
-                      help="file that does not exist yet, or a folder, which with a slash at its end need not exist "
-                           "(default: NAME.toml in this folder)")
+                      help="path that does not exist yet, or a folder, which with a slash at its end need not exist "
+                           "(default: NAME.toml, or folder NAME, in this folder)")
 
 
 def _materials(sub: argparse.ArgumentParser) -> None:
