@@ -6,8 +6,8 @@ Every run is one command, ``workbench diagnose --minutes``, with its record in F
 so the command may be stopped and given again. The whole run of a campaign comes first; the budgets are shares of its
 time. With --replay the whole run is done once, here, and its tasks and their times are kept; what a run of a budget
 would have done is then made of them, by a clock that tells these times, in seconds.
-The campaigns are the one in geometry/chips/small_campaign (water 3 K warmer than stated), and the same chip with a gel of
-35 um that is stated as 20, and with both losses of its PLA doubled. Times are of the wall clock.
+The campaigns are the one in geometry/chips/small_campaign (water 3 K warmer than stated), and the same chip with a gel
+of 35 um that is stated as 20, and with both losses of its PLA doubled. Times are of the wall clock.
 
 A run that was not finished contradicts whatever claims anything of the recordings as its verdict; a finished one whose
 verdict, or effects, are not those of the whole run.

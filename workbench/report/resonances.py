@@ -46,8 +46,8 @@ def misfit(fit: CircuitFit) -> str:
             f"{fit.loss_tangent.value + 0.0:.2g}, leaves {100.0 * fit.rms_residual:.2g} % of Z (rms)")
     limit = f"circuits that describe a spectrum leave less than {100.0 * LARGE_RESIDUAL:g} %"
     active = "" if not fit.active else (
-        f"is not passive: {' and '.join(fit.active)} would supply power. The losses of its parts compensate each other: "
-        "none is that of one mode; a narrower band (--from, --to) has fewer resonances")
+        f"is not passive: {' and '.join(fit.active)} would supply power. The losses of its parts compensate each "
+        "other: none is that of one mode; a narrower band (--from, --to) has fewer resonances")
     if fit.reduced_chi_square is not None and fit.reduced_chi_square <= LARGE_CHI_SQUARE:
         limit = f"{math.sqrt(fit.reduced_chi_square):.2g} times the stated noise"
     elif fit.rms_residual > LARGE_RESIDUAL:
