@@ -60,8 +60,8 @@ def likely_causes(
         others = ", ".join(state.name for state in run.chip.states if state.name != run.state)
         return [f"the simulation is no nearer to the shape of the recording than a plain capacitor: MAPE of |Z| "
                 f"{ours:.3g} and {plain:.3g} %, each scaled by its best factor. Likely causes: a recording of "
-                f"another state than {run.state!r} or of another device (wrong file), a wrong length or unit in the chip "
-                "file" + (others and f". --state names another state: {others}")]
+                f"another state than {run.state!r} or of another device (wrong file), a wrong length or unit in the "
+                "chip file" + (others and f". --state names another state: {others}")]
     differences = [row.difference_percent for row in comparison.rows if row.metric.startswith("Q")]
     if not lossless or not differences or abs(differences[0]) < 100.0 * Q_DIFFERS:
         return []
