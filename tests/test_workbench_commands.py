@@ -100,6 +100,7 @@ def test_simulate_writes_everything_of_every_state(cell: Path, tmp_path: Path) -
     assert "water/iapws_2011" in text
     assert "Do particles gather?" in text
     assert "axial barrier" in text
+    assert text.index("lift / weight") < text.index("deep traps of the section, by sound and weight alone")
     assert {path.suffix for path in out.glob("chip.*")} == {".step"}
     assert (out / "transducer.stl").stat().st_size > 1000
     assert (out / "fields_filled.vtu").is_file()

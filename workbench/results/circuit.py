@@ -122,7 +122,7 @@ class CircuitFit(Brief):
 
     @property
     def active(self) -> tuple[str, ...]:
-        """The parts that supply power, by their 95 % intervals; empty if all are passive."""
+        """The parts that supply power, by their 95 % intervals."""
         tangent = self.loss_tangent
         shunt = (f"the shunt (loss tangent {tangent.value:.2g} ± {tangent.standard_error:.1g})",)
         return (shunt if tangent.interval()[1] < 0.0 else ()) + tuple(

@@ -63,7 +63,7 @@ class Comparison(Shown):
 
     @property
     def scaled_percent(self) -> tuple[float, float]:
-        """MAPE of |Z| (%) of the simulation and of a capacitor, both scaled.
+        """MAPE (%) of simulation and plain capacitor, each scaled.
 
         Each |Z| has the factor that minimises its MAPE, so that the capacitance does not matter. A simulation above the
         capacitor does not explain the resonances of the recording.
@@ -147,7 +147,10 @@ def _reduced_chi_square(measured: Spectrum, simulated: Spectrum) -> float | None
 
 
 def _scaled(ratio: NDArray[np.float64]) -> float:
-    """The least mean of 100 |s ratio - 1| over factors s: s is the median of 1 / ratio, weighted by ratio."""
+    """The least mean of 100 |s ratio - 1| over factors s.
+
+    The best s is the median of 1 / ratio, weighted by ratio.
+    """
     ascending = np.sort(1.0 / ratio)
     weight = np.cumsum(1.0 / ascending)
     best = ascending[np.searchsorted(weight, 0.5 * weight[-1])]
