@@ -301,7 +301,8 @@ def test_a_branch_of_negative_resistance_is_active() -> None:
     assert fit.active == ()
     (one,) = fit.resonances
     fit = replace(fit, resonances=(replace(one, phase=FittedNumber(4.44, 0.13)),))
-    assert re.fullmatch(r"the branch at .* MHz \(phase 254 ± 7 degrees\)", *fit.active)
+    (text,) = fit.active
+    assert re.fullmatch(r"the branch at .* MHz \(phase 254 ± 7 degrees\)", text)
     assert replace(fit, resonances=(replace(one, phase=FittedNumber(1.6, 0.13)),)).active == ()
 
 
