@@ -22,7 +22,7 @@ from workbench.files.tables import FileTable
 
 ROOT = Path(__file__).resolve().parent.parent
 BENCH_EXAMPLE = ROOT / "examples/whole_way/bench.toml"
-CAMPAIGN_EXAMPLE = ROOT / "examples/small_campaign/campaign.toml"
+CAMPAIGN_EXAMPLE = ROOT / "geometry/chips/small_campaign/campaign.toml"
 
 #: What a key of bench.toml says, by table.
 BENCH: Mapping[str, Mapping[str, str]] = {

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import workbench as wb
 
-FOLDER = Path(wb.__file__).resolve().parent.parent / "examples" / "small_campaign"
+FOLDER = Path(wb.__file__).resolve().parent.parent / "geometry" / "chips" / "small_campaign"
 
 # %%
 # The chip file states layers from bottom to top, and the states of the chip. A mistake in it is reported with file,

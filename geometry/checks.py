@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import itertools
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 
+from geometry.assumed import FILMS
 from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, dimension_text, millimetres
 from geometry.limits import CLOSED, FULL_DISC, FURTHER_CAVITY
 from geometry.measure import ABOUT_AXIS, Measure
@@ -202,6 +204,24 @@ def _check_uncovered(layers: Sequence[Layer], top: int, file: str) -> None:
     if left < low + SAME_LENGTH and right > high - SAME_LENGTH:
         raise InputError(file, "cavity.open", True, f"a free surface: {above.region!r} covers the cavity; leave out "
                          "that layer, give it a hole, or state open = false")
+
+
+def warn_of_films(layers: Sequence[Layer], unusual: Sequence[str], file: str, measure: Measure = ABOUT_AXIS) -> None:
+    """Warn of a film whose hole differs from the cavity beside it.
+
+    A name in `unusual`, such as ``bond.cavity_radius``, is intended.
+    """
+    for i, film in enumerate(layers):
+        name = f"{film.region}.cavity_{measure.across}"
+        if film.role not in FILMS or film.cavity_radius is None or name in unusual:
+            continue
+        beside = [each for each in layers[max(i - 1, 0):i + 2]
+                  if each.role not in FILMS and each.cavity_radius is not None]
+        if beside and min(abs(each.inner_radius - film.inner_radius) for each in beside) > SAME_LENGTH:
+            cavity = " or ".join(f"{_hole(each)} of {each.region!r}" for each in beside)
+            warnings.warn(f"{file}: layers[{i}].cavity_{measure.across}: received {_hole(film)} of {film.region!r}; "
+                          f"expected that of the cavity beside it, {cavity}; if the step is intended, state "
+                          f'unusual = ["{name}"]', stacklevel=3)
 
 
 def _hole(layer: Layer) -> str:

@@ -282,7 +282,7 @@ def parse_chip(content: Mapping[str, Any], *, source: str, scripts: bool = True)
     cavity = root.table("cavity").only(("ports", "open", "fill"))
     unusual = head.texts("unusual", (), expected="a list of the names of unusual but intended values")
     layers, is_open = read_well(cavity, layers, measure, unusual)
-    return Chip(
+    chip = Chip(
         name=read_text(head, "name"),
         layers=layers,
         band=read_band(head),
@@ -298,3 +298,5 @@ def parse_chip(content: Mapping[str, Any], *, source: str, scripts: bool = True)
         operating_point=read_operating_point(head),
         features=read_features(root),
     )
+    checks.warn_of_films(layers, unusual, source, measure)
+    return chip

@@ -180,6 +180,6 @@ def test_pages_for_learning_show_output() -> None:
 def test_the_small_campaign_is_read() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        campaign = wb.read_campaign(ROOT / "examples" / "small_campaign" / "campaign.toml")
+        campaign = wb.read_campaign(ROOT / "geometry" / "chips" / "small_campaign" / "campaign.toml")
     assert [state.name for state in campaign.states] == ["empty", "filled"]
     assert campaign.states[1].temperature is None

@@ -115,7 +115,11 @@ def test_dimensions_are_named_and_changed_by_name(tmp_path: Path) -> None:
 
 def test_holes_of_different_width_are_dimensions_of_their_layers(tmp_path: Path) -> None:
     bond = TEXT.index('role = "bond"')
-    chip = read(TEXT[:bond] + TEXT[bond:].replace('cavity_radius = "4 mm"', 'cavity_radius = "5 mm"'), tmp_path)
+    text = TEXT[:bond] + TEXT[bond:].replace('cavity_radius = "4 mm"', 'cavity_radius = "5 mm"')
+    with pytest.warns(UserWarning, match=r"layers\[4\]\.cavity_radius: received 5 mm of 'bond'; expected that of the "
+                      r"cavity beside it, 4 mm of 'sidewall'; .* unusual = \[\"bond\.cavity_radius\"\]"):
+        read(text, tmp_path)
+    chip = read(text.replace("[chip]", '[chip]\nunusual = ["bond.cavity_radius"]'), tmp_path)
     names = chip.dimensions()
     assert (names["sidewall.cavity_radius"].value, names["bond.cavity_radius"].value) == (4e-3, 5e-3)
     assert "cavity.radius" not in names

@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 #: Files that are no modules, by the folders that hold them.
-DATA = {"geometry/chips": "*.toml", "materials/data": "**/*.toml", "workbench/readers": "*.toml",
+DATA = {"geometry/chips": "**/*.*", "materials/data": "**/*.toml", "workbench/readers": "*.toml",
         "workbench/report/templates": "*.html"}
 #: A program of a user without a checkout.
 PROGRAM = """

@@ -14,12 +14,13 @@ import workbench as wb
 from geometry.chip import Chip
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+SMALL = EXAMPLES.parent / "geometry" / "chips" / "small_campaign"
 FREQUENCY = np.linspace(0.95e6, 1.08e6, 131)
 
 
 @pytest.fixture(scope="module")
 def chip() -> Chip:
-    return wb.read_chip(EXAMPLES / "small_campaign" / "chip.toml")
+    return wb.read_chip(SMALL / "chip.toml")
 
 
 def recording(size: float = 1.0) -> wb.Spectrum:
@@ -128,9 +129,9 @@ def test_jobs_are_a_whole_number(chip: Chip, jobs: Any) -> None:
 
 def test_a_campaign_from_values_is_that_of_a_file(chip: Chip, tmp_path: Path) -> None:
     (tmp_path / "campaign.toml").write_text(
-        (EXAMPLES / "small_campaign" / "campaign.toml").read_text(encoding="utf-8"), encoding="utf-8")
+        (SMALL / "campaign.toml").read_text(encoding="utf-8"), encoding="utf-8")
     (tmp_path / "chip.toml").write_text(
-        (EXAMPLES / "small_campaign" / "chip.toml").read_text(encoding="utf-8"), encoding="utf-8")
+        (SMALL / "chip.toml").read_text(encoding="utf-8"), encoding="utf-8")
     empty, filled = recording(), recording(1.1)
     assert wb.write_spectrum(empty, str(tmp_path / "empty.csv")) == tmp_path / "empty.csv"
     wb.write_spectrum(filled, tmp_path / "filled.csv")

@@ -22,7 +22,7 @@ from workbench.model.particles import GRAVITY, Particle, compressibility, net_we
 from workbench.simulation.run import snapshot
 
 WATER = FluidState(density=997.0, sound_speed=1497.0, shear_viscosity=0.890e-3)
-SMALL_CHIP = Path(__file__).parent.parent / "examples" / "small_campaign" / "chip.toml"
+SMALL_CHIP = Path(__file__).parent.parent / "geometry" / "chips" / "small_campaign" / "chip.toml"
 RADIUS, HEIGHT = 1.5e-3, 0.75e-3
 NEUTRAL = Particle(name="neutral", radius=5e-6, density=997.0, compressibility=1.5e-10)
 

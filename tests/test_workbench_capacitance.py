@@ -20,7 +20,7 @@ from workbench.fem.solve import System
 from workbench.files.quantities import VACUUM_PERMITTIVITY
 from workbench.model.problem import Problem, build, fill
 
-SMALL_CHIP = Path(__file__).parent.parent / "examples" / "small_campaign" / "chip.toml"
+SMALL_CHIP = Path(__file__).parent.parent / "geometry" / "chips" / "small_campaign" / "chip.toml"
 #: The clamped plate capacitor of the small chip's disc, 8 mm across and 2 mm thick: 165 pF.
 PLATE = VACUUM_PERMITTIVITY * Registry().load("pic255").eps33.real * math.pi * 4e-3**2 / 2e-3
 

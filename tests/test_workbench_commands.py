@@ -19,6 +19,7 @@ from materials import Fit, Material, RecordingSource, Registry, Value, fitted, s
 from materials.registry import PACKAGE_DATA
 from workbench.cli import main
 from workbench.commands import mesh, states
+from workbench.commands.chips import SHIPPED
 from workbench.model.discretisation import ROWS
 from workbench.readers import read_recording
 from workbench.results.spectrum import Spectrum, write_spectrum
@@ -99,6 +100,7 @@ def test_simulate_writes_everything_of_every_state(cell: Path, tmp_path: Path) -
     assert "water/iapws_2011" in text
     assert "Do particles gather?" in text
     assert "axial barrier" in text
+    assert text.index("lift / weight") < text.index("deep traps of the section, by sound and weight alone")
     assert {path.suffix for path in out.glob("chip.*")} == {".step"}
     assert (out / "transducer.stl").stat().st_size > 1000
     assert (out / "fields_filled.vtu").is_file()
@@ -219,6 +221,17 @@ def test_compare_finds_what_was_put_in(disc: Path, tmp_path: Path) -> None:
     text = check_report(out / "report.html")
     assert "Nothing was fitted" in text
     assert f"workbench diagnose {tmp_path / 'disc.csv'} --chip {disc} --state " in text
+
+
+def test_compare_without_assumed_losses(tmp_path: Path) -> None:
+    campaign = SHIPPED / "small_campaign"
+    command = ["compare", str(campaign / "empty.csv"), str(campaign / "chip.toml"), "--state", "empty", *SMALL, "-o"]
+    assert main([*command, str(tmp_path / "assumed")]) == 0
+    assert main([*command, str(tmp_path / "without"), "--no-assumed-losses"]) == 0
+    assumed, without = (standard_json(tmp_path / name / "merit.json") for name in ("assumed", "without"))
+    assert assumed["comparison"]["mape_percent"] > 20.0 > 1.0 > without["comparison"]["mape_percent"]
+    assert any("Likely cause: the assumed loss of pic255" in text for text in assumed["findings"])
+    assert not any("Likely cause" in text for text in without["findings"])
 
 
 def test_compare_uses_the_common_band(disc: Path, tmp_path: Path) -> None:

@@ -43,3 +43,20 @@ def test_a_file_stays_and_a_wrong_name_is_answered(tmp_path: Path, capsys: pytes
     assert "expected a file that can be written; a file is in the way" in " ".join(message.split())
     assert main(["chips", "copy", "glas_channel"]) == 2
     assert "glass_channel" in capsys.readouterr().err
+
+
+def test_a_campaign_is_copied_with_its_recordings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["chips", "copy", "small_campaign"]) == 0
+    assert main(["chips", "copy", "small_campaign", "-o", "new/mine"]) == 0
+    original = SHIPPED / "small_campaign"
+    for name in ("campaign.toml", "chip.toml", "empty.csv", "filled.csv"):
+        for copy in ("small_campaign", "new/mine"):
+            assert (tmp_path / copy / name).read_bytes() == (original / name).read_bytes()
+    capsys.readouterr()
+    (tmp_path / "new/mine/chip.toml").write_text("mine", encoding="utf-8")
+    assert main(["chips", "copy", "small_campaign"]) == 2
+    assert "expected a path that does not exist yet" in " ".join(capsys.readouterr().err.split())
+    assert (tmp_path / "new/mine/chip.toml").read_text(encoding="utf-8") == "mine"

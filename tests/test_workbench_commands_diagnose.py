@@ -12,7 +12,7 @@ from workbench.campaign.campaign import Campaign, read_campaign
 from workbench.cli import main
 from workbench.readers import read_recording
 
-SMALL = Path(__file__).parent.parent / "examples" / "small_campaign"
+SMALL = Path(__file__).parent.parent / "geometry" / "chips" / "small_campaign"
 CHIP, EMPTY, FILLED = (str(SMALL / name) for name in ("chip.toml", "empty.csv", "filled.csv"))
 
 

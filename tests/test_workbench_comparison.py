@@ -2,12 +2,14 @@
 
 import itertools
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from workbench.readers import read_recording
+from workbench.report.comparison import likely_causes
 from workbench.results.circuit import bvd_impedance
 from workbench.results.comparison import MetricRow, compare
 from workbench.results.merit import figures
@@ -41,6 +43,42 @@ def test_a_gain_error_is_seen_as_it_is() -> None:
     assert list(rows) == ["f0 (Hz)", "Z_min (ohm)", "Q factor"]
     assert rows["Z_min (ohm)"].difference_percent == pytest.approx(10.0, rel=1e-6)
     assert rows["f0 (Hz)"].difference_percent == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_resonance_elsewhere_is_no_nearer_than_a_capacitor() -> None:
+    good = compare(MEASURED, Spectrum(SWEEP, 1.3 * MEASURED.impedance))
+    assert good.scaled_percent[0] == pytest.approx(0.0, abs=1e-9)
+    other = compare(MEASURED, Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT | {"motional_inductance": 180e-6})))
+    ours, plain = other.scaled_percent
+    assert ours > plain == good.scaled_percent[1]
+    # No other factor gives a smaller mean.
+    capacitor = 1.0 / (SWEEP * MEASURED.magnitude)
+    factors = np.geomspace(0.1, 10.0, 2001) / np.median(capacitor)
+    searched = min(100.0 * np.mean(np.abs(factor * capacitor - 1.0)) for factor in factors)
+    assert plain == pytest.approx(searched, rel=1e-4)
+    assert plain <= searched
+
+
+def test_likely_causes_of_a_difference() -> None:
+    chip = SimpleNamespace(states=[SimpleNamespace(name="empty"), SimpleNamespace(name="filled")])
+    run: Any = SimpleNamespace(chip=chip, state="filled")
+    circuit: Any = object()
+    elsewhere = compare(MEASURED, Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT | {"motional_inductance": 180e-6})))
+    (text,) = likely_causes(elsewhere, run, circuit, lossless=["pic255"], assumed=True)
+    assert "no nearer to the shape of the recording than a plain capacitor" in text
+    assert "another state than 'filled'" in text
+    assert text.endswith("--state names another state: empty")
+    # A recording without a resonance is that of a capacitor.
+    assert likely_causes(elsewhere, run, None, lossless=[], assumed=True) == []
+    lossy = compare(MEASURED, Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT | {"motional_resistance": 7.0})))
+    assert likely_causes(lossy, run, circuit, lossless=[], assumed=True) == []
+    (text,) = likely_causes(lossy, run, circuit, lossless=["pic255"], assumed=True)
+    assert "Q differs by -1" in text
+    assert "the assumed loss of pic255, whose source states none" in text
+    assert text.endswith("--no-assumed-losses leaves it out")
+    (text,) = likely_causes(lossy, run, circuit, lossless=["pic255"], assumed=False)
+    assert "pic255 without loss" in text
+    assert likely_causes(compare(MEASURED, MEASURED), run, circuit, lossless=["pic255"], assumed=True) == []
 
 
 def test_the_sign_of_a_row() -> None:

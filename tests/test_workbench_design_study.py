@@ -379,7 +379,7 @@ def test_a_dask_cluster_gives_the_same_table(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("command", [
     "study {folder}/study.toml", "tolerance {root}/geometry/chips/disc_20x2.toml --accuracy 2%",
-    "design {root}/examples/design/half_wave_chip.toml", "diagnose {root}/examples/small_campaign/campaign.toml",
+    "design {root}/examples/design/half_wave_chip.toml", "diagnose {root}/geometry/chips/small_campaign/campaign.toml",
     "fit batch {folder}/batch.toml"])
 def test_a_cluster_that_does_not_answer_is_a_clear_error(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -387,7 +387,7 @@ def test_a_cluster_that_does_not_answer_is_a_clear_error(
     pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
     monkeypatch.setattr("workbench.jobs.cluster.PATIENCE", 0.2)
     read(tmp_path, SOBOL)
-    campaign = ROOT / "examples" / "small_campaign"
+    campaign = ROOT / "geometry" / "chips" / "small_campaign"
     (tmp_path / "batch.toml").write_text(
         f'[[recordings]]\nname = "one"\nkind = "polymer"\nfile = "{campaign / "empty.csv"}"\n'
         f'chip = "{campaign / "chip.toml"}"\nstate = "empty"\nregion = "substrate"\n')

@@ -14,7 +14,7 @@ from workbench.catalogue.effect import Effect
 from workbench.diagnosis.next_measurement import advice
 from workbench.fitting.parameter import Parameter
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "small_campaign"
+EXAMPLE = Path(__file__).parents[1] / "geometry" / "chips" / "small_campaign"
 
 
 def moving(name: str) -> Effect:

@@ -23,7 +23,7 @@ from workbench.physics.term import FreeParameter
 
 ROOT = Path(__file__).resolve().parent.parent
 TRIAL = ROOT / "tests" / "data" / "trials" / "0000" / "campaign.toml"
-SMALL = ROOT / "examples" / "small_campaign" / "campaign.toml"
+SMALL = ROOT / "geometry" / "chips" / "small_campaign" / "campaign.toml"
 
 #: Per device of a transducer, gel, printed polymer and lid, and water.
 ALWAYS = {

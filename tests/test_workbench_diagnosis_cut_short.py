@@ -48,7 +48,7 @@ MODEL: Any = SimpleNamespace(
     campaign=SimpleNamespace(fitted=(STATE,), held_out=()), free=lambda _effects: ([0, 1], []),
     bounds=lambda indices: (-np.ones(len(indices)), np.ones(len(indices))))
 PLACE = np.zeros(2)
-SMALL_CAMPAIGN = Path(__file__).parents[1] / "examples" / "small_campaign" / "campaign.toml"
+SMALL_CAMPAIGN = Path(__file__).parents[1] / "geometry" / "chips" / "small_campaign" / "campaign.toml"
 
 #: Tasks before the one that fits the device as it is stated.
 FITTED = 2

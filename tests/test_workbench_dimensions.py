@@ -19,6 +19,7 @@ from workbench.physics.surface_load import SurfaceLoad
 
 CHIP = """
 [chip]
+unusual = ["bond.cavity_radius"]
 name = "two rings"
 band = ["0.4 MHz", "0.6 MHz"]
 """ + "".join((

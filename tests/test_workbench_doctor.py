@@ -6,6 +6,7 @@ import errno
 import fcntl
 import json
 import os
+import re
 import subprocess
 import sys
 from collections import namedtuple
@@ -83,8 +84,15 @@ def test_a_process_that_crashes_or_hangs_is_a_problem(monkeypatch: pytest.Monkey
     with pytest.raises(Defect, match=r"^crashed with SIGABRT: before$"):
         in_own_process("print('\\x1b[33mbefore\\x1b[0m', file=sys.stderr, flush=True); import os; os.abort()", "")
     monkeypatch.setattr(check, "LONGEST_PROCESS", 0.5)
-    with pytest.raises(Defect, match=r"^no result within 0\.5 s$"):
-        in_own_process("import time; time.sleep(60)", "")
+    monkeypatch.setattr(check, "LINE_PERIOD", 0.1)
+    lines = list[str]()
+    slow, fine = run_checks({"slow": lambda: in_own_process("import time; time.sleep(60)", "install it again"),
+                             "fine": lambda: "here"}, jobs=2, waiting=lines.append)
+    assert (slow.status, fine.status) == ("warning", "ok")
+    assert slow.words == "no result within 0.5 s: a slow or busy machine, or a library that hangs"
+    assert slow.remedy.endswith("if the warning stays, install it again")
+    assert len(lines) >= 2
+    assert re.fullmatch(r"waiting for slow \(\d s; at most 0\.5 s each\)", lines[-1])
 
 
 def test_no_egl_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

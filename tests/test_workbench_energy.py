@@ -25,7 +25,7 @@ Complex = NDArray[np.complex128]
 
 ROOT = Path(__file__).resolve().parent.parent
 CHANNEL = ROOT / "geometry" / "chips" / "silicon_glass_channel.toml"
-SMALL_CHIP = ROOT / "examples" / "small_campaign" / "chip.toml"
+SMALL_CHIP = ROOT / "geometry" / "chips" / "small_campaign" / "chip.toml"
 ONE_VPP = VoltageDrive(1.0)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -288,6 +289,21 @@ def test_a_misfit_is_good_or_poor(rms: float, chi: float | None, words: str) -> 
     fit = CircuitFit((), number, FittedNumber(0.01, 0.0), FittedNumber(0.0, 0.0), weak(60.0, 0.1), rms, chi)
     assert words in misfit(fit)
     assert ("further off than their standard errors say" in misfit(fit)) == ("poor" in words)
+    active = misfit(replace(fit, loss_tangent=FittedNumber(-0.28, 0.05)))
+    assert "passive: the shunt (loss tangent -0.28 ± 0.05) would supply power" in active
+    assert "good" not in active
+    assert ("poor" in active) == ("poor" in words)
+    assert "passive" not in misfit(replace(fit, loss_tangent=FittedNumber(-0.28, 0.2)))
+
+
+def test_a_branch_of_negative_resistance_is_active() -> None:
+    fit = wb.fit_resonances(weak(60.0, 0.3))
+    assert fit.active == ()
+    (one,) = fit.resonances
+    fit = replace(fit, resonances=(replace(one, phase=FittedNumber(4.44, 0.13)),))
+    (text,) = fit.active
+    assert re.fullmatch(r"the branch at .* MHz \(phase 254 ± 7 degrees\)", text)
+    assert replace(fit, resonances=(replace(one, phase=FittedNumber(1.6, 0.13)),)).active == ()
 
 
 # ---- a model that is not good enough

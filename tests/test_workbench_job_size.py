@@ -21,7 +21,7 @@ from workbench.model.job_size import check_points, check_size, memory_to_use, of
 from workbench.model.problem import build, fill
 
 ROOT = Path(__file__).resolve().parent.parent
-DISC, SMALL = ROOT / "geometry/chips/disc_20x2.toml", ROOT / "examples/small_campaign/chip.toml"
+DISC, SMALL = ROOT / "geometry/chips/disc_20x2.toml", ROOT / "geometry/chips/small_campaign/chip.toml"
 
 
 @pytest.fixture
@@ -86,7 +86,7 @@ def test_a_coarser_accuracy_is_proposed_where_that_fits(chip: Chip, monkeypatch:
     ["simulate", str(DISC), "-o"], ["render", str(DISC), "--at", "1 MHz", "-o"],
     ["mesh", str(DISC), "--converge", "-o"],
     ["study", str(ROOT / "examples/small_study/study.toml"), "--jobs", "1", "-o"],
-    ["diagnose", str(ROOT / "examples/small_campaign/campaign.toml"), "--jobs", "1", "-o"],
+    ["diagnose", str(ROOT / "geometry/chips/small_campaign/campaign.toml"), "--jobs", "1", "-o"],
 ])
 def test_every_command_refuses(
     command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -267,7 +267,7 @@ def test_reference_recordings_have_no_finding_and_cells_of_them_do(tmp_path: Pat
 
 
 def test_a_campaign_and_a_batch_leave_out_on_request(tmp_path: Path) -> None:
-    for path in (ROOT / "examples" / "small_campaign").iterdir():
+    for path in (ROOT / "geometry" / "chips" / "small_campaign").iterdir():
         (tmp_path / path.name).write_text(path.read_text())
     lines = (tmp_path / "empty.csv").read_text().splitlines()
     row = lines[-40].split(",")

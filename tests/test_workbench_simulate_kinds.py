@@ -21,7 +21,7 @@ from workbench.simulation import run as simulation
 from workbench.simulation import solved_spectrum
 
 ROOT = Path(__file__).resolve().parent.parent
-SMALL_CHIP = ROOT / "examples" / "small_campaign" / "chip.toml"
+SMALL_CHIP = ROOT / "geometry" / "chips" / "small_campaign" / "chip.toml"
 ROUGH = ("--points", "41", "--accuracy", "2 %", "--no-cad", "--no-pictures")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -190,6 +191,14 @@ def test_a_mesh_that_is_not_as_accurate_as_asked_is_warned_of(disc: Chip, monkey
     with pytest.warns(MeshTooCoarse, match=r"estimated error of 0\.6 % rms in Z, above the 0\.5 % that it was made "
                       r"for; --accuracy \"0\.1 %\" \(in Python accuracy=0\.001\)"):
         simulate(disc, points=13, accuracy=5e-3)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")
+        for share in (1.0, 1.02):
+            other = replace(worse, log_impedance=worse.log_impedance * share)
+            monkeypatch.setattr("workbench.simulation.run.mesh_error", lambda *_arguments, other=other: other)
+            simulate(disc, points=13 + (share > 1.0), accuracy=5e-3)
+    assert len(caught) == 1, "a chip simulated again with nearly the same error"
+    monkeypatch.setattr("workbench.simulation.run.mesh_error", lambda *_arguments: worse)
     # Whoever gives a discretisation has asked for no accuracy.
     assert simulate(disc, points=13, accuracy=quadratic(ELEMENTS)).mesh_error is worse
     assert simulate(disc, points=13, accuracy=quadratic(ELEMENTS), full=True).mesh_error is None

@@ -15,7 +15,7 @@ from geometry.chip_file import write_chip
 
 ROOT = Path(__file__).resolve().parent.parent
 CHIP = str(ROOT / "geometry/chips/free_disc_25x2.toml")
-STACK = ROOT / "examples/small_campaign/chip.toml"
+STACK = ROOT / "geometry/chips/small_campaign/chip.toml"
 #: Modules that cannot be imported, by package.
 MODULES = {"VTK": ("vtk", "vtkmodules"), "pyvista": ("pyvista",), "CadQuery": ("cadquery", "OCP"), "gmsh": ("gmsh",),
            "trame": ("trame", "trame_client", "trame_server"), "trame-vuetify": ("trame_vuetify",)}
@@ -28,7 +28,7 @@ print("f0", round(run.figures.f0, -3), wb.Registry().load("water").sound_speed)
 recording = wb.read_recording({str(ROOT / "tests/data/spectra/e4990a_z_theta.csv")!r})
 print("read", recording.spectrum.frequency.size)
 stack = wb.read_chip({str(STACK)!r})
-empty = wb.read_recording({str(ROOT / "examples/small_campaign/empty.csv")!r})
+empty = wb.read_recording({str(ROOT / "geometry/chips/small_campaign/empty.csv")!r})
 found = wb.fit(empty, stack, "polymer", state="empty", region="substrate", accuracy=1e-2)
 print("fitted", len(found.result.estimates))
 """

@@ -95,7 +95,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("inputs")
     root = CHIPS.parent.parent
     shutil.copy(CHIPS / "disc_20x2.toml", folder / "disc.toml")
-    shutil.copy(root / "examples/small_campaign/chip.toml", folder / "chip.toml")
+    shutil.copy(root / "geometry/chips/small_campaign/chip.toml", folder / "chip.toml")
     shutil.copy(root / "tests/data/reference/free_disc_nominal_rho7500.csv", folder / "recording.csv")
     for name, text in (("study", STUDY), ("goal", GOAL), ("batch", BATCH)):
         (folder / f"{name}.toml").write_text(text)
@@ -195,7 +195,7 @@ def test_other_files_of_the_user_may_lie_beside_the_results(
 
 
 def test_files_of_an_earlier_run_go_and_their_names_are_printed(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out, chip = here / "out", str(CHIPS.parent.parent / "examples/small_campaign/chip.toml")
+    out, chip = here / "out", str(CHIPS.parent.parent / "geometry/chips/small_campaign/chip.toml")
     assert main(["simulate", chip, "--state", "empty", *QUICK, "-o", str(out)]) == 0
     (out / "notes.txt").write_text("mine")
     capsys.readouterr()

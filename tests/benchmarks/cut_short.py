@@ -6,8 +6,8 @@ Every run is one command, ``workbench diagnose --minutes``, with its record in F
 so the command may be stopped and given again. The whole run of a campaign comes first; the budgets are shares of its
 time. With --replay the whole run is done once, here, and its tasks and their times are kept; what a run of a budget
 would have done is then made of them, by a clock that tells these times, in seconds.
-The campaigns are the one in examples/small_campaign (water 3 K warmer than stated), and the same chip with a gel of
-35 um that is stated as 20, and with both losses of its PLA doubled. Times are of the wall clock.
+The campaigns are the one in geometry/chips/small_campaign (water 3 K warmer than stated), and the same chip with a gel
+of 35 um that is stated as 20, and with both losses of its PLA doubled. Times are of the wall clock.
 
 A run that was not finished contradicts whatever claims anything of the recordings as its verdict; a finished one whose
 verdict, or effects, are not those of the whole run.
@@ -51,7 +51,7 @@ from workbench.reduced.at_point import reduce  # noqa: E402
 from workbench.report.diagnosis import diagnosis_record  # noqa: E402
 from workbench.results.spectrum import Spectrum, write_spectrum  # noqa: E402
 
-EXAMPLE = ROOT / "examples" / "small_campaign"
+EXAMPLE = ROOT / "geometry" / "chips" / "small_campaign"
 
 #: Budgets, as shares of the time that the whole run takes.
 SHARES = (0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.95)

@@ -92,8 +92,8 @@ def fit() -> Steps:
     """Four moduli of a print, from the recording of a small chip."""
     import workbench as wb
 
-    chip = wb.read_chip(EXAMPLES / "small_campaign/chip.toml")
-    recording = wb.read_recording(EXAMPLES / "small_campaign/empty.csv")
+    chip = wb.read_chip(CHIPS / "small_campaign/chip.toml")
+    recording = wb.read_recording(CHIPS / "small_campaign/empty.csv")
     wb.fit(recording, chip, "polymer", state="empty", region="substrate", accuracy=2e-3)
     return {}
 
@@ -115,7 +115,7 @@ def diagnosis() -> Steps:
     """The small campaign."""
     import workbench as wb
 
-    wb.diagnose(wb.read_campaign(EXAMPLES / "small_campaign/campaign.toml"))
+    wb.diagnose(wb.read_campaign(CHIPS / "small_campaign/campaign.toml"))
     return {}
 
 

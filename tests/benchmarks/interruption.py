@@ -42,7 +42,7 @@ from measurements import Measurements, measurements, with_json  # noqa: E402
 from workbench.files.output import MARK  # noqa: E402
 from workbench.files.ownership import NEW, RUN, STATE, Manifest  # noqa: E402
 
-DISC, CAMPAIGN = ROOT / "geometry/chips/disc_20x2.toml", ROOT / "examples/small_campaign"
+DISC, CAMPAIGN = ROOT / "geometry/chips/disc_20x2.toml", ROOT / "geometry/chips/small_campaign"
 
 #: The commands, each without its folder of results.
 COMMANDS = {

@@ -353,7 +353,7 @@ KINDS: dict[str, Kind] = {
     "recording": Kind(make_recordings, changed_table, read_spectrum),
     "touchstone": Kind(make_touchstone, changed_table, read_spectrum),
     "chip": Kind(_copied(ROOT / "geometry/chips", "*.toml"), changed_toml, _read_chip),
-    "campaign": Kind(_copied(ROOT / "examples/small_campaign", "campaign.toml", "chip.toml"), changed_toml,
+    "campaign": Kind(_copied(ROOT / "geometry/chips/small_campaign", "campaign.toml", "chip.toml"), changed_toml,
                      lambda path: _read_campaign(path.parent / "campaign.toml")),
     "study": Kind(_copied(ROOT / "examples/small_study", "study.toml", "chip.toml"), changed_toml,
                   lambda path: _read_study(path.parent / "study.toml")),

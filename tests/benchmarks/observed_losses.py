@@ -25,7 +25,7 @@ from workbench.diagnosis.appraisal import diagnose  # noqa: E402
 from workbench.diagnosis.device import device_model  # noqa: E402
 from workbench.results.spectrum import Spectrum, write_spectrum  # noqa: E402
 
-EXAMPLE = ROOT / "examples" / "small_campaign"
+EXAMPLE = ROOT / "geometry" / "chips" / "small_campaign"
 PLA, GLASS, WATER = "pla/acevedo_2026", "soda_lime_glass/en572_2012", "water/iapws_2011"
 #: The hypothesis that is right, its parameter, and the range (SI) that it is drawn from, evenly in its logarithm. The
 #: least of the liquid hardly shows in the impedance; less than the least of the glass shows in nothing.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,10 +23,13 @@ SHIPPED = Path(geometry.__file__).parent / "chips"
 
 
 def run_chips(options: argparse.Namespace, _console: Console) -> int:
-    """``workbench chips``: list the chip files of the package, or copy one."""
-    shipped = {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
+    """``workbench chips``: list the chip files of the package, or copy one.
+
+    A folder is a chip, ``chip.toml``, with its recordings.
+    """
+    shipped = {path.stem: path for path in sorted(SHIPPED.iterdir())}
     if options.action == "list":
-        chips = [read_chip(path) for path in shipped.values()]
+        chips = [read_chip(path / "chip.toml" if path.is_dir() else path) for path in shipped.values()]
         print_table("chips of the package", table("name | title | states", [
             (name, chip.name, ", ".join(state.name for state in chip.states))
             for name, chip in zip(shipped, chips, strict=True)]))
@@ -33,13 +37,16 @@ def run_chips(options: argparse.Namespace, _console: Console) -> int:
     name = choose(options.name, shipped, source="command line", field="NAME")
     target = Path(options.target)
     if target.is_dir() or options.target.endswith(("/", os.sep)):
-        target = target / f"{name}.toml"
+        target = target / shipped[name].name
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        with target.open("x", encoding="utf-8") as file:
-            file.write(shipped[name].read_text(encoding="utf-8"))
+        if shipped[name].is_dir():
+            shutil.copytree(shipped[name], target)
+        else:
+            with target.open("x", encoding="utf-8") as file:
+                file.write(shipped[name].read_text(encoding="utf-8"))
     except FileExistsError:
-        raise InputError("command line", "-o", str(target), "a file that does not exist yet") from None
+        raise InputError("command line", "-o", str(target), "a path that does not exist yet") from None
     except OSError as error:
         expected = REMEDIES.get(error.errno or 0, remedy(error))
         raise InputError("command line", "-o", str(target), f"a file that can be written; {expected}") from None

@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING
 
 from geometry.chip import read_chip
 from geometry.straight import check_stated_length
+from materials.assumed import with_assumed_loss
 from workbench.commands.compare_energy import is_of_energy, run_compare_energy
 from workbench.commands.parsed_options import common_band, model_options, output_folder, reading_option
 from workbench.commands.states import run_state
 from workbench.commands.terminal import print_paragraph, print_table, progress_bars, say_finding
 from workbench.files.ownership import Outputs
 from workbench.files.writing import write_json
+from workbench.model.problem import fill
 from workbench.report.comparison import (
     compared_figures_table,
     comparison_record,
     distance_table,
+    likely_causes,
     what_next,
     write_comparison_report,
 )
@@ -60,6 +63,9 @@ def run_compare(options: argparse.Namespace, console: Console) -> int:
     if merit is not None and merit.is_weak:
         found.append(f"the recording: {merit.weakness}")
     resonances = {"measured": resonances_of(comparison.measured), "simulated": run.resonances}
+    stated = fill(chip, run.state, model.registry).materials.values()
+    found += likely_causes(comparison, run, resonances["measured"], assumed=model.assumed_losses,
+                           lossless=sorted({each.name for each in stated if with_assumed_loss(each)[1]}))
     write_json(folder / "merit.json", {
         "chip": chip.name, "recording": str(options.recording), "state": run.state,
         "read_as": reading.read_as or None,

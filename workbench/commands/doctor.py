@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -21,7 +22,7 @@ def run_doctor(options: argparse.Namespace) -> int:
 
     Neither the console nor the numerical libraries are needed.
     """
-    found = run_checks(checks(), jobs=machine.processors())
+    found = run_checks(checks(), jobs=machine.processors(), waiting=partial(print, file=sys.stderr, flush=True))
     count = Counter(check.status for check in found)
     if options.json:
         print(json.dumps({"faults": count["fault"], "warnings": count["warning"],

@@ -68,7 +68,13 @@ def _with_model(sub: argparse.ArgumentParser) -> None:
     _with_band(sub)
     _with_accuracy(sub)
     _with_filling(sub)
-    sub.set_defaults(points=481, at=None, full=False, relative_error="0.01 %", drive="10 Vpp", **KEPT_COLD)
+    sub.set_defaults(points=481, at=None, full=False, relative_error="0.01 %", drive="10 Vpp", assumed_losses=True,
+                     **KEPT_COLD)
+
+
+def _with_losses(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--no-assumed-losses", dest="assumed_losses", action="store_false", default=True,
+                     help="leave a ceramic whose source states no loss without one (default: that of a usual ceramic)")
 
 
 def _with_chip(sub: argparse.ArgumentParser) -> None:
@@ -122,6 +128,7 @@ def _simulate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--state", action="append", metavar="NAME",
                      help="only this state (may be repeated; default all)")
     _with_model(sub)
+    _with_losses(sub)
     sub.add_argument("--points", type=int, default=481, metavar="N", help="frequencies in the band (default 481)")
     sub.add_argument("--full", action="store_true",
                      help="solve every frequency instead of a reduced model (default); may be interrupted and "
@@ -155,6 +162,7 @@ def _compare(sub: argparse.ArgumentParser) -> None:
     _with_state(sub)
     _with_recording(sub)
     _with_model(sub)
+    _with_losses(sub)
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help=OUTPUT_HELP)
 
 
@@ -246,8 +254,8 @@ def _chips(sub: argparse.ArgumentParser) -> None:
     copy.add_argument("name", metavar="NAME", help="of the list (must be given)")
     # A Path has no slash at its end.
     copy.add_argument("-o", "--output", dest="target", default="./", metavar="FILE",
-                      help="file that does not exist yet, or a folder, which with a slash at its end need not exist "
-                           "(default: NAME.toml in this folder)")
+                      help="path that does not exist yet, or a folder, which with a slash at its end need not exist "
+                           "(default: NAME.toml, or folder NAME, in this folder)")
 
 
 def _materials(sub: argparse.ArgumentParser) -> None:

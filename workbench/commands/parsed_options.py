@@ -47,6 +47,7 @@ class ModelOptions:
     drive: Drive
     accuracy: float | Discretisation
     warm: WarmUp | None
+    assumed_losses: bool
 
 
 def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
@@ -66,6 +67,7 @@ def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
         registry=user_registry(options.materials, inviscid=options.inviscid), band=band, points=options.points, at=at,
         full=options.full, relative_error=relative_error_option(options), drive=wired(parse_drive(options.drive), chip),
         accuracy=accuracy_option(options), warm=warm_option(options, chip),
+        assumed_losses=options.assumed_losses,
     )
 
 

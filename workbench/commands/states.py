@@ -34,6 +34,7 @@ def run_state(
     return simulate_state(
         chip, name, registry=model.registry, band=model.band, points=model.points, at=model.at, full=model.full,
         relative_error=model.relative_error, drive=model.drive, accuracy=model.accuracy, warm=model.warm,
+        assumed_losses=model.assumed_losses,
         on_point=points.add if points else None, known=points.known if points else None,
         on_spectrum=(lambda _found: None) if spectrum is None else partial(write_spectrum, path=spectrum),
         progress=partial(simulated, show, name),
@@ -58,7 +59,7 @@ class _UnfinishedSpectrum:
     are hexadecimal, hence exact."""
 
     def __init__(self, path: Path, chip: Chip, state: str, model: ModelOptions) -> None:
-        filling = fill(chip, state, replace(model.registry, assumed_losses=True)).materials
+        filling = fill(chip, state, replace(model.registry, assumed_losses=model.assumed_losses)).materials
         deciding = repr((chip, state, sorted(filling.items()), model.band[1], discretisation(model.accuracy)))
         self.path, self.known = path, dict[float, complex]()
         key = hashlib.sha256(deciding.encode()).hexdigest()

@@ -23,6 +23,9 @@ from workbench.simulation.run import Simulation
 #: difference as large as the noise is called agreement.
 AGREES = 1.5
 
+#: Relative difference of Q above which an unstated loss is named. Doubled, a loss that is a fifth off is not named.
+Q_DIFFERS = 0.1
+
 
 def compared_figures_table(comparison: Comparison) -> TextTable:
     """Every figure that both spectra have, measured and simulated."""
@@ -40,6 +43,32 @@ def distance_table(comparison: Comparison) -> TextTable:
         ("largest error of |Z| (%) and where",
          f"{comparison.worst_percent:.1f} at {comparison.worst_frequency / 1e6:.4f} MHz"),
         ("measured points used", f"{100.0 * comparison.fraction_used:.1f} %")))
+
+
+def likely_causes(
+    comparison: Comparison, run: Simulation, measured: CircuitFit | None, *, lossless: Sequence[str], assumed: bool
+) -> list[str]:
+    """Likely causes of a large difference, a sentence each.
+
+    Args:
+        measured: resonances of the recording, if any.
+        lossless: names of the ceramics whose sources state no loss.
+        assumed: whether these have the assumed loss.
+    """
+    ours, plain = comparison.scaled_percent
+    if measured is not None and ours >= plain:
+        others = ", ".join(state.name for state in run.chip.states if state.name != run.state)
+        return [f"the simulation is no nearer to the shape of the recording than a plain capacitor: MAPE of |Z| "
+                f"{ours:.3g} and {plain:.3g} %, each scaled by its best factor. Likely causes: a recording of "
+                f"another state than {run.state!r} or of another device (wrong file), a wrong length or unit in the "
+                "chip file" + (others and f". --state names another state: {others}")]
+    differences = [row.difference_percent for row in comparison.rows if row.metric.startswith("Q")]
+    if not lossless or not differences or abs(differences[0]) < 100.0 * Q_DIFFERS:
+        return []
+    cause = (f"the assumed loss of {', '.join(lossless)}, whose source states none" if assumed else
+             f"{', '.join(lossless)} without loss, as its source states none")
+    return [f"Q differs by {differences[0]:+.3g} %. Likely cause: {cause}. `workbench fit pzt` finds the loss from a "
+            "recording of the bare transducer" + ("; --no-assumed-losses leaves it out" if assumed else "")]
 
 
 def what_next(comparison: Comparison, chip: Path, recording: Path, state: str) -> str:

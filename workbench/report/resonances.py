@@ -38,18 +38,23 @@ def resonance_notes(found: Mapping[str, CircuitFit | None]) -> tuple[str, ...]:
 def misfit(fit: CircuitFit) -> str:
     """A sentence on the residual of a circuit.
 
-    The residual is compared with the stated noise, or else with that of good fits.
+    The residual is compared with the stated noise, or else with that of good fits. A circuit that is not passive is
+    never good.
     """
     left = (f"the circuit of these resonances, beside a shunt of {1e12 * fit.static_capacitance.value:.4g} ± "
             f"{1e12 * fit.static_capacitance.standard_error:.2g} pF with a loss tangent of "
             f"{fit.loss_tangent.value + 0.0:.2g}, leaves {100.0 * fit.rms_residual:.2g} % of Z (rms)")
-    if fit.reduced_chi_square is not None and fit.reduced_chi_square <= LARGE_CHI_SQUARE:
-        return f"{left}, which is good: {math.sqrt(fit.reduced_chi_square):.2g} times the stated noise"
     limit = f"circuits that describe a spectrum leave less than {100.0 * LARGE_RESIDUAL:g} %"
-    if fit.rms_residual <= LARGE_RESIDUAL:
-        return f"{left}, which is good: {limit}"
-    return (f"{left}, which is poor: {limit}. It lacks resonances, or close ones are not resolved: f, Q and k_eff are "
-            "further off than their standard errors say; a narrower band (--from, --to) has fewer")
+    active = "" if not fit.active else (
+        f"is not passive: {' and '.join(fit.active)} would supply power. The losses of its parts compensate each "
+        "other: none is that of one mode; a narrower band (--from, --to) has fewer resonances")
+    if fit.reduced_chi_square is not None and fit.reduced_chi_square <= LARGE_CHI_SQUARE:
+        limit = f"{math.sqrt(fit.reduced_chi_square):.2g} times the stated noise"
+    elif fit.rms_residual > LARGE_RESIDUAL:
+        return (f"{left}, which is poor: {limit}. It lacks resonances, or close ones are not resolved: f, Q and k_eff "
+                "are further off than their standard errors say; a narrower band (--from, --to) has fewer"
+                + (active and f". The circuit {active}"))
+    return f"{left}, but {active}" if active else f"{left}, which is good: {limit}"
 
 
 def _with_error(number: FittedNumber, factor: float, digits: int) -> str:

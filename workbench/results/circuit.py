@@ -120,6 +120,16 @@ class CircuitFit(Brief):
     reduced_chi_square: float | None
     findings: tuple[str, ...] = ()
 
+    @property
+    def active(self) -> tuple[str, ...]:
+        """The parts that supply power, by their 95 % intervals."""
+        tangent = self.loss_tangent
+        shunt = (f"the shunt (loss tangent {tangent.value:.2g} ± {tangent.standard_error:.1g})",)
+        return (shunt if tangent.interval()[1] < 0.0 else ()) + tuple(
+            f"the branch at {1e-6 * each.frequency.value:.4f} MHz (phase {math.degrees(each.phase.value):.0f} ± "
+            f"{math.degrees(each.phase.standard_error):.1g} degrees)" for each in self.resonances
+            if math.acos(math.cos(each.phase.value)) - 1.96 * each.phase.standard_error > 0.5 * math.pi)
+
     @cached_property
     def parameters(self) -> Mapping[str, FittedNumber]:
         """R1, L1, C1, R2, ..., C0 in SI."""

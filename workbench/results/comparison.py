@@ -61,6 +61,16 @@ class Comparison(Shown):
     rows: tuple[MetricRow, ...]
     rows_missing: str
 
+    @property
+    def scaled_percent(self) -> tuple[float, float]:
+        """MAPE (%) of simulation and plain capacitor, each scaled.
+
+        Each |Z| has the factor that minimises its MAPE, so that the capacitance does not matter. A simulation above the
+        capacitor does not explain the resonances of the recording.
+        """
+        measured = self.measured.magnitude
+        return _scaled(self.simulated.magnitude / measured), _scaled(1.0 / (self.measured.frequency * measured))
+
     def summary(self) -> Summary:
         """Errors and figures side by side, for a notebook."""
         rows = [("", "measured", "simulated", "difference"),
@@ -134,6 +144,17 @@ def _reduced_chi_square(measured: Spectrum, simulated: Spectrum) -> float | None
         return None
     squares = np.abs(simulated.impedance - measured.impedance) ** 2 / np.sum(variances, axis=0)
     return float(np.mean(squares)) / 2.0
+
+
+def _scaled(ratio: NDArray[np.float64]) -> float:
+    """The least mean of 100 |s ratio - 1| over factors s.
+
+    The best s is the median of 1 / ratio, weighted by ratio.
+    """
+    ascending = np.sort(1.0 / ratio)
+    weight = np.cumsum(1.0 / ascending)
+    best = ascending[np.searchsorted(weight, 0.5 * weight[-1])]
+    return 100.0 * float(np.mean(np.abs(best * ratio - 1.0)))
 
 
 def _rows(measured: Spectrum, simulated: Spectrum, near: float | None) -> tuple[tuple[MetricRow, ...], str]:

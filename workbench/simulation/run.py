@@ -350,17 +350,20 @@ def _check_relative_error(relative_error: float, *, source: str) -> None:
 def _mesh_error(
     model: ReducedModel, frequencies: Real, problem: Problem, accuracy: float | Discretisation, progress: Progress
 ) -> MeshErrorEstimate:
-    """The estimated error of the mesh; warns if above the requested one."""
+    """The estimated error of the mesh; warns if above the requested one.
+
+    One digit, for the estimate has no more, and no place in the caller's code: a chip simulated again warns once.
+    """
     progress("error of the mesh", 0.0)
     error = mesh_error(model, frequencies, problem.values)
-    if isinstance(accuracy, float) and error.rms > accuracy:
+    if isinstance(accuracy, float) and float(shown := f"{100.0 * error.rms:.1g}") > 100.0 * accuracy:
         finer = [row for row in ROWS if row < accuracy]
         remedy = "there is no finer one" if not finer else (
             f'--accuracy "{100.0 * max(finer):g} %" (in Python accuracy={max(finer):g}) makes a finer one')
-        warnings.warn(f"{problem.name}: the mesh has an estimated error of {100.0 * error.rms:.2g} % rms in Z, above "
+        warnings.warn(f"{problem.name}: the mesh has an estimated error of {shown} % rms in Z, above "
                       f"the {100.0 * accuracy:g} % that it was made for; {remedy}. The error itself is "
                       f"up to {ERROR_OVER_ESTIMATE:g} times its estimate where corners are sharp", MeshTooCoarse,
-                      stacklevel=3)
+                      stacklevel=1)
     return error
 
 
