@@ -96,7 +96,10 @@ def diagnose_model(
 
 
 def with_part(diagnosis: Diagnosis, models: LocalModels, progress: Progress) -> Diagnosis:
-    """A diagnosis with the likeliest part beside the axis, which is its verdict if it is accepted."""
+    """A diagnosis with the likeliest part beside the axis.
+
+    If the part is accepted, it is the verdict.
+    """
     try:
         found = located(models, progress)
     except (NotConverged, OrdersNotConverged, ValueError, KeyboardInterrupt) as error:

@@ -1,4 +1,4 @@
-"""The place and the mass of a part beside the axis, from recordings of a device that is not round.
+"""Place and mass of a part beside the axis, from recordings.
 
 The change of ln Z is the closed form of `patch_orders`. Known parameters and part are fitted together, from the optimum
 without a part and each of a grid of distances and masses. A part moves the resonances of all orders and a fit without
@@ -128,14 +128,14 @@ def diameter_of(z: Real) -> float:
 
 
 def can_be_located(model: Model) -> bool:
-    """Whether the model is of recordings of one bare round disc, of stiffness and mass alone."""
+    """Whether the recordings are of one bare round disc."""
     states = model.campaign.fitted
     return all(set(state.materials) == {TRANSDUCER} and isinstance(state.chip.measure, Axisymmetric)
                and state.observation is None for state in (*states, *model.campaign.held_out))
 
 
 def located(models: LocalModels, progress: Progress = no_progress) -> PartFound:
-    """The likeliest part on the upper face of the bare transducer of a campaign.
+    """The likeliest part on the upper face of a bare transducer.
 
     Raises
     ------
@@ -178,7 +178,10 @@ def located(models: LocalModels, progress: Progress = no_progress) -> PartFound:
 def _projected(
     model: Model, likelihood: Likelihood, end: _End, distances: Real, radius: float, heaviest: float
 ) -> tuple[_End, Real]:
-    """The optimum near an end, with orders of a patch of its diameter projected there, and the places of these."""
+    """The optimum near an end, and the distances (m) of its patches.
+
+    Orders are projected there, of patches of the diameter found.
+    """
     spacing, places = distances[1] - distances[0], distances
     for _ in range(PROJECTIONS):
         distance, diameter = float(np.interp(end.z[3], np.arange(places.size), places)), diameter_of(end.z)
@@ -190,7 +193,10 @@ def _projected(
 
 
 def _gain_held_out(models: LocalModels, null: Real, end: _End, distances: Real) -> float:
-    """The fall of the cost of the states held out by a part, with the parameters of the fits; 0 without such states."""
+    """The fall of the cost of the states held out.
+
+    The parameters are those of the fits. It is 0 without such states.
+    """
     if models.model.held_out is None:
         return 0.0
     reach = np.zeros(null.size)
@@ -226,13 +232,16 @@ def robust(likelihood: Likelihood, x: Real) -> tuple[Real, float]:
 
 
 def _spreads(states: Sequence[DeviceState], residuals: Sequence[Complex]) -> list[float]:
-    """The typical deviation of each recording's points: of half of them, and no less than the noise."""
+    """The typical deviation of the points of each recording.
+
+    Half of the points have less. It is no less than the noise.
+    """
     return [max(float(np.median(np.abs(each))) / MEDIAN, float(np.median(state.noise)))
             for each, state in zip(residuals, states, strict=True)]
 
 
 def _deviations(residual: Complex, spread: float) -> Real:
-    """The deviations (n,) whose least squares are those of Cauchy errors about a `residual`."""
+    """The deviations (n,) that make least squares those of Cauchy errors."""
     return spread * np.sqrt(1.0 + np.abs(residual / spread) ** 2)
 
 
@@ -248,9 +257,9 @@ def _heavy_tailed(residuals: Sequence[Complex], spreads: Sequence[float]) -> flo
 
 @dataclass(frozen=True, eq=False)
 class _StateOrders:
-    """The orders of a state, whose ``index`` is that among all recordings, with their ``modes`` at some values.
+    """The orders of a state, with their ``modes`` at some values.
 
-    They are those of patches of a ``diameter`` (m).
+    The ``index`` is that among all recordings. The orders are those of patches of a ``diameter`` (m).
     """
 
     state: DeviceState
@@ -260,7 +269,10 @@ class _StateOrders:
 
     @classmethod
     def of(cls, model: Model, state: DeviceState, x: Real, distances: Real, diameter: float) -> _StateOrders:
-        """The orders of a state, projected at x (p,), of patches of a `diameter` (m)."""
+        """The orders of a state, projected at x (p,).
+
+        The patches have that `diameter` (m).
+        """
         frequency = state.measured.frequency
         k = next(k for k, recording in enumerate(model.whole.recordings) if recording.name == state.name)
         values = {**model.whole.recordings[k].problem.values, **model.whole.settings(x, k)[0]}
@@ -281,9 +293,10 @@ class _StateOrders:
         return {**model.whole.recordings[self.index].problem.values, **model.whole.settings(x, self.index)[0]}
 
     def change(self, model: Model, x: Real, z: Real, free: NDArray[np.int64]) -> tuple[Complex, Complex]:
-        """The change of ln Z (n,), e^{+j w t}, by a part z (4,), and its derivatives (n, k + 4).
+        """The change of ln Z (n,), and derivatives (n, k + 4).
 
-        They are those by the parameters `free` (k,) and by the part (see :class:`Joint`).
+        The convention is e^{+j w t}. The derivatives are those by the parameters `free` (k,) and by the part (see
+        :class:`Joint`).
         """
         scale = [STEP * model.parameters[i].scale for i in free]
         pairs = []
@@ -323,7 +336,7 @@ class _Point:
 
 @dataclass(frozen=True, eq=False)
 class _End:
-    """The end of a fit: known parameters x (p,), part z (4,), cost, and reduced chi-square."""
+    """The end of a fit: parameters x (p,) and part z (4,)."""
 
     x: Real
     z: Real
@@ -332,7 +345,7 @@ class _End:
 
 
 def _leading(ends: Sequence[_End], count: int) -> list[_End]:
-    """The `count` ends of least cost, those of a place within a patch of a better one left out."""
+    """The `count` ends of least cost, each of another place or mass."""
     chosen = list[_End]()
     for end in sorted(ends, key=lambda each: each.cost):
         if all(abs(end.z[3] - each.z[3]) > 0.25 or abs(end.z[0] - each.z[0]) > 0.1 for each in chosen):
@@ -356,14 +369,17 @@ class Joint:
     @classmethod
     def of(cls, model: Model, likelihood: Likelihood, x: Real, distances: Real, heaviest: float,
            diameter: float = DIAMETER) -> Joint:
-        """The fit of patches of a `diameter` at `distances` (k,) from the axis (m), projected at x (p,)."""
+        """The fit of patches at `distances` (k,), projected at x (p,).
+
+        Distances from the axis and `diameter` are in m.
+        """
         return cls(model, likelihood, [_StateOrders.of(model, state, x, distances, diameter)
                                        for state in likelihood.states], heaviest)
 
     def optimum(self, x: Real, z: Real, rounds: int, *, moves: bool = True) -> _End:
-        """The optimum near x (p,) and z (4,), for errors of heavy tails.
+        """The optimum near x (p,) and z (4,).
 
-        In each round the modes are made again where it is, if it `moves` them.
+        Errors have heavy tails. In each round the modes are made again where it is, if it `moves` them.
         """
         search = self.likelihood.search(NULL)
         free, cost, known = search.free, math.inf, self
@@ -390,7 +406,10 @@ class Joint:
         return _End(x, z, cost, _reduced(self.likelihood.states, residuals))
 
     def residuals(self, search: FitSearch, x: Real, z: Real) -> list[tuple[Complex, Complex]]:
-        """ln(Z_model / Z_measured) (n,) of every fitted recording with a part, and derivatives (n, free and part)."""
+        """The residual (n,) of every recording, and derivatives (n, k + 4).
+
+        It is ln(Z_model / Z_measured). Derivatives are those by the free parameters (k,) and by the part.
+        """
         data, found, free = self.likelihood.data(NULL, x), [], search.free
         for k, (each, rows) in enumerate(zip(self.orders, self.likelihood.places, strict=True)):
             real, imaginary = np.split(data.jacobian[rows][:, free], 2)
@@ -415,9 +434,10 @@ class Joint:
         return found
 
     def _point(self, search: FitSearch, x: Real, deviations: Sequence[Real], y: Real) -> _Point:
-        """The residual at `y`, the free parameters among x (p,) and then a part, with its derivative.
+        """The residual at `y`, with its derivative.
 
-        It is in some `deviations` of the points.
+        The free parameters among x (p,) come first in `y`, the part last. The residual is in some `deviations` of the
+        points.
         """
         free = search.free
         x, z = _split(x, free, y)
@@ -435,7 +455,7 @@ class Joint:
 
 
 def _split(x: Real, free: NDArray[np.int64], y: Real) -> tuple[Real, Real]:
-    """Parameters (p,) with the `free` ones from y, and the part (4,) that follows them."""
+    """Parameters (p,) with the `free` ones from y, and the part (4,)."""
     moved = x.copy()
     moved[free] = y[:-4]
     return moved, y[-4:]

@@ -1,4 +1,4 @@
-"""The change of a round chip's spectrum by a rigid part, wherever it is and whatever the constants are.
+"""The change of a round chip's spectrum by a rigid part.
 
 The closed form is that of `workbench.simulation.features`. A search evaluates it hundreds of times: each order is
 projected once on the fields under forces on all patches, and the small models follow the constants of the materials.
@@ -56,7 +56,9 @@ class _Order:
     which: NDArray[np.int64]
 
     def constants(self, values: Values, number: int | None = None) -> Complex:
-        """Constants (2, forms) of stiffness and mass, whose factors are 1 and w^2, of another `number` if given.
+        """Constants (2, forms) of stiffness and mass.
+
+        Their factors are 1 and w^2. They are those of another `number` if it is given.
 
         Raises
         ------
@@ -75,7 +77,7 @@ class _Order:
         return np.eye(len(self.operators.matrices))[self.operators.forms]
 
     def at(self, values: Values, middle: float) -> _OrderModes:
-        """The order by its eigenvectors at `values` of the constants, about a frequency `middle` (Hz)."""
+        """The order by its eigenvectors at `values`, about a frequency `middle` (Hz)."""
         rank, square = self.loads.shape[1], (2.0 * np.pi * middle) ** 2
         matrices = self.operators.matrices
         first, second = np.tensordot(self.constants(values), matrices[:, :rank, :rank], axes=1)
@@ -89,7 +91,9 @@ class _Order:
 
 @dataclass(frozen=True, eq=False)
 class _OrderModes:
-    """One order by its eigenvectors at some values; at others their mixing is left out.
+    """One order by its eigenvectors at some values.
+
+    At other values, their mixing is omitted.
 
     ``resonances`` (r,) are in Hz, ``forms`` (q, r) the forms of the eigenvectors, ``shapes`` (k, 2, r) their mean
     displacements of the patches, and ``drive`` (q, r) their forms with the electrode's voltage.
@@ -118,7 +122,7 @@ class _OrderModes:
 
 @dataclass(frozen=True, eq=False)
 class PatchOrders:
-    """The compliances of patches of one round chip, and the displacements of the driven chip there.
+    """The compliances of patches of one round chip, by orders.
 
     ``patches`` (k,) are alternatives: only one of them carries a part. ``orders`` are projected at the constants of
     ``problem``; ``high`` (n, k, 2, 2) is the compliance of all higher ones at ``frequencies`` (n,) in Hz, and ``local``
@@ -134,7 +138,7 @@ class PatchOrders:
 
     @classmethod
     def of(cls, problem: Problem, patches: Sequence[Patch], frequencies: Real) -> PatchOrders:
-        """The orders of a chip, until their sum over each patch has converged.
+        """The orders of a chip, until the sums have converged.
 
         Raises
         ------
@@ -145,7 +149,7 @@ class PatchOrders:
             return _converged(problem, tuple(patches), frequencies)
 
     def at(self, values: Values) -> PatchModes:
-        """The orders at `values` of the constants; others are those of the problem."""
+        """The orders at some `values`; the others are those of the problem."""
         every, middle = self.all_values(values), float(np.median(self.frequencies))
         near, high = list[_OrderModes](), self.high.copy()
         with one_thread():
@@ -163,7 +167,7 @@ class PatchOrders:
 
 @dataclass(frozen=True, eq=False)
 class PatchModes:
-    """The orders of a chip by their eigenvectors at values of its constants.
+    """The orders of a chip by their eigenvectors at some values.
 
     ``orders`` have the modes near the band; ``high`` (n, k, 2, 2) is the compliance of all others.
     """
@@ -174,10 +178,11 @@ class PatchModes:
 
     def response(self, values: Values, slopes: Sequence[tuple[Values, Values]] = (), shift: float = 0.0,
                  chosen: slice = slice(None)) -> PatchResponse:
-        """The response at `values` of the constants, whose orders lie higher by a relative `shift` of frequency.
+        """The response at `values` of the constants.
 
-        Each of the `slopes` is a pair of values below and above, whose difference quotients are the derivatives. It is
-        that of the `chosen` patches.
+        Its orders lie higher by a relative `shift` of frequency.
+                Each of the `slopes` is a pair of values below and above, whose difference quotients are the
+                derivatives. It is that of the `chosen` patches.
         """
         own = self.model.frequencies
         factors = _factors(own / (1.0 + shift))
@@ -213,10 +218,10 @@ class PatchModes:
 
 @dataclass(frozen=True, eq=False)
 class _ModalPart:
-    """The part of one order in the compliance of patches (k,), those that are true in ``where``.
+    """The part of one order in the compliance of patches (k,).
 
-    ``constants`` (2, r) are stiffness and mass of the modes with ``shapes`` (k, 2, r), for the ``factors`` (n, 2), and
-    ``by_number`` (p, 2, r) their derivatives.
+    The patches are those that are true in ``where``.     ``constants`` (2, r) are stiffness and mass of the modes with
+    ``shapes`` (k, 2, r), for the ``factors`` (n, 2), and ``by_number`` (p, 2, r) their derivatives.
     """
 
     shapes: Complex
@@ -240,9 +245,10 @@ class _ModalPart:
 
 @dataclass(frozen=True, eq=False)
 class _Driven:
-    """The driven chip: ``charge`` (n,) in C at 1 V, and its modes of order 0 with their ``force`` (n, r) by it.
+    """The driven chip by its modes of order 0.
 
-    ``by_charge`` (n, p), and ``by_force`` and ``by_stiffness`` (p, 2, r), are derivatives by numbers.
+    It has a ``charge`` (n,) in C at 1 V, and a ``force`` (n, r) on the modes.
+        ``by_charge`` (n, p), and ``by_force`` and ``by_stiffness`` (p, 2, r), are derivatives by numbers.
     """
 
     shapes: Complex
@@ -270,17 +276,17 @@ class _Driven:
 
     @property
     def displacements(self) -> Complex:
-        """The mean displacements (n, k, 2) of the patches in m at 1 V."""
+        """Mean displacements (n, k, 2) of the patches, m at 1 V."""
         return -np.einsum("kim,nm->nki", self.shapes, self.force / self.stiffness)
 
 
 @dataclass(frozen=True, eq=False)
 class PatchResponse:
-    """The response of a chip at patches (k,), at ``frequencies`` (n,) in Hz and e^{-i w t}.
+    """The response of a chip at patches (k,), e^{-i w t}.
 
-    ``compliance`` (n, k, 2, 2) in m/N, of the ``parts``, which lie higher by a relative ``shift`` of frequency, and of
-    higher orders; ``local`` (n, k, 2) is the part of it that
-    goes with one over the radius of the patch: the mean displacement of a half-space under a uniform pressure.
+    ``frequencies`` (n,) are in Hz, ``compliance`` (n, k, 2, 2) in m/N, of the ``parts``, which lie higher by a relative
+    ``shift`` of frequency, and of higher orders; ``local`` (n, k, 2) is the part of it that goes with one over the
+    radius of the patch: the mean displacement of a half-space under a uniform pressure.
     """
 
     frequencies: Real
@@ -292,11 +298,11 @@ class PatchResponse:
 
     @cached_property
     def displacements(self) -> Complex:
-        """The displacements (n, k, 2) of the driven chip in m at 1 V."""
+        """Displacements (n, k, 2) of the driven chip, m at 1 V."""
         return self.driven.displacements
 
     def log_change(self, dynamic_stiffness: Complex, size: float, weights: Real) -> tuple[Complex, Complex]:
-        """The change (n,) of ln Z by a part, e^{-i w t}, and the motion (n, 2) of its patch over the charge.
+        """The change (n,) of ln Z, and the forces (n, 2).
 
         `dynamic_stiffness` (n,) is in N/m; the radius of the part is `size` times that of the patch. The part is
         between the patches, by their `weights` (k,).
@@ -310,9 +316,9 @@ class PatchResponse:
         return np.asarray(-np.log1p(change / self.driven.charge)), np.asarray(forces)
 
     def slopes(self, forces: Complex, weights: Real) -> Complex:
-        """Derivatives (n, p + 1) of the change of ln Z by the numbers and the shift.
+        """Derivatives (n, p + 1) of the change of ln Z.
 
-        They are those at the `forces` (n, 2) of :meth:`log_change`.
+        They are those by the numbers and the shift, at the `forces` (n, 2) of :meth:`log_change`.
         """
         driven = self.driven
         slopes = np.zeros((self.frequencies.size, driven.by_charge.shape[1] + 1), dtype=complex)
@@ -365,7 +371,7 @@ def _converged(problem: Problem, patches: tuple[Patch, ...], frequencies: Real) 
 
 
 def _with_few(found: PatchOrders) -> PatchOrders:
-    """The orders from which on none has a resonance near the band are added to the high ones, as they are."""
+    """A copy whose high orders include those without resonances nearby."""
     frequencies, values = found.frequencies, found.problem.values
     here, there = ([_compliance(order, values, frequencies, f) for order in found.orders]
                    for f in (frequencies, frequencies * (1.0 + NEAR)))
@@ -386,7 +392,7 @@ def _placed(found: PatchOrders, order: _Order, compliance: Complex) -> Complex:
 
 
 def _compliance(order: _Order, values: Values, frequencies: Real, asked: Real) -> Complex:
-    """The compliance (n, k, 2, 2) of an order at frequencies `asked` (n,) near those of the band."""
+    """The compliance (n, k, 2, 2) of an order at frequencies `asked`."""
     return order.at(values, float(np.median(frequencies))).compliance(values, asked)
 
 
@@ -420,7 +426,7 @@ class _Sum:
 
     @property
     def has_converged(self) -> bool:
-        """Whether the last orders moved the total by no more than the tolerance."""
+        """Whether the last orders moved the total within the tolerance."""
         if len(self.sums) <= FITTED:
             return False
         size = np.linalg.norm(self.sums[-1], axis=(1, 2))
@@ -428,10 +434,12 @@ class _Sum:
 
 
 def _rest(compliances: Complex, orders: Real, total: Real) -> tuple[Complex, Complex]:
-    """The compliance (n, 2, 2) of the orders that are left, as of a half-space, and its static constants (n, 2).
+    """The compliance (n, 2, 2) of higher orders, and constants (n, 2).
+
+    It is that of a half-space.
 
     `compliances` (m, n, 2, 2) are those of the last orders, `orders` (m, 2) their shares of a half-space, and `total`
-    (2,) is the share of the orders that are left.
+    (2,) is the share of the higher orders.
     """
     diagonal = np.diagonal(compliances, axis1=2, axis2=3)
     constants = half_space_constants(diagonal, np.repeat(orders[:, :, None], 2, axis=2))
