@@ -449,7 +449,8 @@ def test_a_line_of_words_within_a_sweep_ends_it_only_as_headings(
     assert len(reading.spectrum.frequency) == points
     message = reading.findings[0].message
     place = f"line {10 + line.startswith(chr(10))} {line.strip().splitlines()[0]!r}"
-    assert message.startswith("file.csv: ") and place in message
+    assert message.startswith("file.csv: ")
+    assert place in message
     restarted = read_recording(written(tmp_path, HEAD + "".join((*body, "retry,abc,foo\n", *body))))
     assert restarted.findings[0].code == "another_table"
     np.testing.assert_allclose(restarted.spectrum.impedance, Z, rtol=1e-10)

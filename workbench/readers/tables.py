@@ -190,10 +190,10 @@ class Table:
                 cell_number(self.text, line, frequency + 1, cell=first, decimal=decimal)
             if not rows or row == above:
                 continue
-            if not others and len(row) == width > 1 and all(row):
-                if not table._goes_on(line, frequency, rows, words):
-                    next_table = line
-                    break
+            if not others and len(row) == width > 1 and all(row) and (
+                    not table._goes_on(line, frequency, rows, words)):
+                next_table = line
+                break
             words += [line] if len(row) == width and all(row) else []
             if content.strip(" ,;\t").casefold() != "end":
                 skipped.append(line)
@@ -215,10 +215,11 @@ class Table:
                       and is_cell(row[min(frequency, len(row) - 1)])), [])
         if len(below) != self.width or not all(is_cell(cell) or holds_no_value(cell) for cell in below):
             return False
-        # The last rows alone, since a sweep may rise and fall; readings may be repeated at one frequency.
-        sweep = [value_of(row[frequency], self.decimal) or math.nan for row in (*list(rows.values())[-_NAMED:], below)]
-        moves = [right > left for left, right in pairwise(sweep) if left != right]
-        return len(moves) > 1 and moves[-1] == moves[-2]
+        following, last, *others = (value_of(row[frequency], self.decimal) or math.nan
+                                    for row in (below, *reversed(rows.values())))
+        # Readings may be repeated at one frequency, and a sweep may rise and fall.
+        before = next((value for value in others if value != last), math.nan)
+        return (following - last) * (last - before) >= 0.0
 
     def where(self, select: Mapping[str, object]) -> Table:
         """The table with the rows that hold the values `select`, by column.
