@@ -238,7 +238,7 @@ def test_a_wrong_phase_is_a_finding_and_not_mended_silently(
     command = ["compare", "wrong.csv", "chip.toml", "-o", "out", "--accuracy", "0.5 %"]
     message = said(command, capsys, status=0)
     assert word in message
-    assert f"correction='{correction}'" in message
+    assert f"--correction {correction} " in message
     assert "finding" not in said([*command, "--correction", correction], capsys, status=0)
 
 

@@ -540,7 +540,7 @@ def test_a_stretch_of_turned_signs_is_named_and_nothing_is_advised(begin: int, e
     assert findings[0].code == "stretch"
     assert f"points {begin + 1} to {end} " in findings[0].message
     assert "no correction" in findings[0].message
-    assert not any("correction=" in finding.message for finding in findings)
+    assert not any("--correction" in finding.message for finding in findings)
 
 
 def flip_real(z: np.ndarray) -> np.ndarray:

@@ -216,7 +216,7 @@ class Table:
         if len(below) != self.width or not all(is_cell(cell) or holds_no_value(cell) for cell in below):
             return False
         following, last, *others = (value_of(row[frequency], self.decimal) or math.nan
-                                    for row in (below, *reversed(rows.values())))
+                                    for row in [*rows.values(), below][::-1])
         # Readings may be repeated at one frequency, and a sweep may rise and fall.
         before = next((value for value in others if value != last), math.nan)
         return (following - last) * (last - before) >= 0.0
