@@ -139,7 +139,8 @@ def examine(spectrum: Spectrum, *, rows: Rows | None = None, shunt_gain: bool = 
     if active >= 0.9 * points and not stretches:
         if shunt_gain:
             findings.append(Finding("inverse_ratio", f"Re Z < 0 at {active} of {points} points: the gain is "
-                                    "probably the inverse ratio; set inverse = true in the column map (or false if it was true)"))
+                                    "probably the inverse ratio; set inverse = true in the column map (false if it "
+                                    "was true)"))
         else:
             findings.append(Finding("negated", f"Re Z < 0 at {active} of {points} points: the phase is probably "
                                     "off by 180 degrees (reversed polarity); read with "
