@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, dimension_text, millimetres
 from geometry.limits import CLOSED, FULL_DISC, FURTHER_CAVITY
@@ -17,6 +19,18 @@ from geometry.parts import Electrodes, Layer, Ports, State, discs, further_cavit
 from geometry.profile import Outline, Profile
 from workbench.files.errors import InputError, choose
 from workbench.files.names import check_name, check_title
+
+
+@contextmanager
+def naming_layers(regions: Sequence[str]) -> Iterator[None]:
+    """Add the region of a layer to the field of an InputError: ``layers[3].thickness (sidewall)``."""
+    try:
+        yield
+    except InputError as error:
+        place = re.fullmatch(r"layers\[(\d+)\][^(]*", error.field)
+        if place is not None and int(place[1]) < len(regions):
+            error.field += f" ({regions[int(place[1])]})"
+        raise
 
 
 def check_names(name: str, layers: Sequence[Layer], states: Sequence[State], file: str) -> None:

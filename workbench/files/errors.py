@@ -30,12 +30,23 @@ class InputError(ValueError):
     nearest: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        hint = f"; did you mean {' or '.join(repr(n) for n in self.nearest)}?" if self.nearest else ""
         received = "missing" if self.value is None else f"received {_shown(self.value)}"
-        return f"{self.source}: {self.field}: {received}; expected {self.expected}{hint}"
+        return f"{self.source}: {self.field}: {received}; expected {self.expected}{hint(self.nearest)}"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (InputError, (self.source, self.field, self.value, self.expected, self.nearest))
+
+
+def hint(nearest: Iterable[str]) -> str:
+    """The end of a message that asks for one of the `nearest` choices."""
+    names = " or ".join(map(repr, nearest))
+    return f"; did you mean {names}?" if names else ""
+
+
+def file_error(path: Path, expected: str, nearest: tuple[str, ...] = ()) -> InputError:
+    """The error for a file of a caller, whose value is its name."""
+    # The path of the working folder has no name.
+    return InputError(str(path), "file", path.name or str(path), expected, nearest)
 
 
 def _shown(value: object) -> str:
