@@ -23,13 +23,12 @@ from workbench.files.names import check_name, check_title
 
 @contextmanager
 def naming_layers(regions: Sequence[str]) -> Iterator[None]:
-    """Add the region of a layer to the field of an InputError: ``layers[3].thickness (sidewall)``."""
+    """Name the region of a layer in the InputError of its field."""
     try:
         yield
     except InputError as error:
-        place = re.fullmatch(r"layers\[(\d+)\][^(]*", error.field)
-        if place is not None and int(place[1]) < len(regions):
-            error.field += f" ({regions[int(place[1])]})"
+        if (place := re.match(r"layers\[(\d+)\]", error.field)) is not None:
+            error.owner = regions[int(place[1])]
         raise
 
 

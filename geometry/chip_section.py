@@ -83,7 +83,7 @@ def drawn_layers(layers: tuple[Layer, ...], file: str, measure: Measure = ABOUT_
         if layer.cavity_radius is not None:
             sizes[hole] = layer.inner_radius
         drawn[layer.region] = cad.profile_face(layer.profile, sizes, layer.z_bottom, source=file,
-                                               field=f"layers[{number}].profile ({layer.region})", measure=measure,
+                                               field=f"layers[{number}].profile", measure=measure,
                                                is_transducer=layer.role == TRANSDUCER, steps=steps)
     if measure.is_whole:
         return {layer.region: cad.mirrored(drawn[layer.region], layer.offset) for layer in layers}

@@ -67,7 +67,7 @@ def read_layers(root: FileTable, measure: Measure, *, scripts: bool = True) -> t
     tables = root.tables("layers", expected=expected)
     if not tables:
         raise root.error("layers", expected)
-    with naming_layers(region_names(str(table.content.get("role", "no role")) for table in tables)):
+    with naming_layers(region_names(str(table.content.get("role", "")) for table in tables)):
         return _read_layers(tables, measure, scripts=scripts)
 
 

@@ -92,7 +92,7 @@ class Registry:
         return tuple(sorted(self._files(), key=lambda name: split_version(name) or (name, 0)))
 
     def names_of_kind(self, kinds: Iterable[str]) -> frozenset[str]:
-        """The names, with and without source, of entries whose file states one of `kinds`."""
+        """Names, with and without source, of entries of these `kinds`."""
         wanted, found = set(kinds), set[str]()
         for name, path in self._files().items():
             with suppress(InputError):

@@ -323,7 +323,7 @@ def test_a_mistake_is_named_with_its_place_and_remedy(mistake: str, tmp_path: Pa
         text = text.replace('cavity_radius = "4 mm"', 'cavity_radius = "0.5 mm"')
     with pytest.raises(InputError) as caught:
         read(text, tmp_path)
-    assert caught.value.field.partition(" (")[0] == place
+    assert caught.value.field == place
     message = str(caught.value)
     assert "chip.toml" in message
     for word in words:
@@ -448,7 +448,7 @@ def test_a_chip_can_be_given_as_tables() -> None:
     disc = {"role": "transducer", "material": "pzt4", "thickness": "2 mm", "radius": "10 mm"}
     chip = parse_chip({"chip": {"name": "disc", "band": ["0.9 MHz", "1.1 MHz"]}, "layers": [disc]}, source="here")
     assert chip.regions == ("transducer",)
-    with pytest.raises(InputError, match=r"here: layers\[0\]\.radius"):
+    with pytest.raises(InputError, match=r"here: transducer, layers\[0\]\.radius"):
         parse_chip(
             {"chip": {"name": "disc", "band": ["0.9 MHz", "1.1 MHz"]}, "layers": [disc | {"radius": 10}]}, source="here"
         )

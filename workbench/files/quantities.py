@@ -126,7 +126,10 @@ def frequency_text(*frequencies: float) -> str:
 
 
 def in_another_unit(band: tuple[float, float], *frequencies: float) -> tuple[str, ...]:
-    """The `frequencies` (Hz) in other units in which they lie in or overlap the `band` (Hz), for messages."""
+    """Texts of a frequency, or of two ends (Hz), in another unit.
+
+    In that unit they lie in the `band` (Hz) or overlap it.
+    """
     low, high = frequencies[0], frequencies[-1]
     return tuple(frequency_text(*(each * factor for each in frequencies)) for factor in (1e3, 1e-3, 1e6, 1e-6)
                  if low * factor <= band[1] and high * factor >= band[0])

@@ -204,7 +204,7 @@ class Table:
                        next_table=next_table)
 
     def _goes_on(self, line: int, frequency: int, rows: Mapping[int, Sequence[str]], words: Sequence[int]) -> bool:
-        """Whether the sweep continues below a `line` of words that are no headings.
+        """Whether the sweep continues below a `line` of words.
 
         The line stands directly below one of the `rows` or another line of `words`, and the next row has as many
         numbers as the rows above and continues their frequencies.
