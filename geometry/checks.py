@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 from geometry.assumed import FILMS
 from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, dimension_text, millimetres
@@ -19,6 +21,17 @@ from geometry.parts import Electrodes, Layer, Ports, State, discs, further_cavit
 from geometry.profile import Outline, Profile
 from workbench.files.errors import InputError, choose
 from workbench.files.names import check_name, check_title
+
+
+@contextmanager
+def naming_layers(regions: Sequence[str]) -> Iterator[None]:
+    """Name the region of a layer in the InputError of its field."""
+    try:
+        yield
+    except InputError as error:
+        if (place := re.match(r"layers\[(\d+)\]", error.field)) is not None:
+            error.owner = regions[int(place[1])]
+        raise
 
 
 def check_names(name: str, layers: Sequence[Layer], states: Sequence[State], file: str) -> None:

@@ -69,6 +69,10 @@ class Chip:
     material_folders: tuple[Path, ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
+        with checks.naming_layers([layer.region for layer in self.layers]):
+            self._check()
+
+    def _check(self) -> None:
         checks.check_names(self.name, self.layers, self.states, self.file)
         check_straight(self.measure, self.layers, self.electrodes, self.ports, self.file)
         checks.check_dimensions(self.layers, self.band, self.dimensions(), self.file, self.measure)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
+from geometry.checks import naming_layers
 from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, millimetres, read_dimension, read_radius
 from geometry.limits import CLOSED, FILL_KEYS, NOT_KEYS
 from geometry.measure import Measure, Straight
@@ -62,11 +63,18 @@ def read_band(head: FileTable) -> tuple[float, float]:
 def read_layers(root: FileTable, measure: Measure, *, scripts: bool = True) -> tuple[tuple[Layer, ...], Electrodes]:
     """The layers from bottom to top, and the electrodes. A layer without a stated bottom lies on the one below.
     `scripts` allows layers drawn by a script."""
-    across, doubled = measure.across, measure.doubled
     expected = "a list of layers from bottom to top, each under [[layers]]"
     tables = root.tables("layers", expected=expected)
     if not tables:
         raise root.error("layers", expected)
+    with naming_layers(region_names(str(table.content.get("role", "")) for table in tables)):
+        return _read_layers(tables, measure, scripts=scripts)
+
+
+def _read_layers(
+    tables: Sequence[FileTable], measure: Measure, *, scripts: bool
+) -> tuple[tuple[Layer, ...], Electrodes]:
+    across, doubled = measure.across, measure.doubled
     roles = [choose(table.required("role", "a role"), ROLES, source=table.source, field=table.at("role"))
              for table in tables]
     profiles = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from workbench.files.errors import InputError, choose, nearest_names
-from workbench.files.quantities import frequency_text, parse_quantity
+from workbench.files.quantities import frequency_text, in_another_unit, parse_quantity
 from workbench.files.tables import FileTable
 
 #: Words for the frequency of the largest acoustic energy in the cavity, and of the smallest |Z|.
@@ -26,7 +26,8 @@ def check_operating_point(stated: float | str | None, band: tuple[float, float],
     if isinstance(stated, str):
         choose(stated, OPERATING_POINTS, source=file, field=field)
     elif stated is not None and not band[0] <= stated <= band[1]:
-        raise InputError(file, field, frequency_text(stated), f"a frequency within the band, {frequency_text(*band)}")
+        raise InputError(file, field, frequency_text(stated), f"a frequency within the band, {frequency_text(*band)}",
+                         in_another_unit(band, stated))
 
 
 def parse_operating_point(text: str, *, source: str = "command line", field: str = "--at") -> float | str:

@@ -168,7 +168,7 @@ def check_band(layers: Sequence[Layer], band: tuple[float, float], source: str, 
         InputError: they are not, or the band is too wide.
     """
     low, high = band
-    thickness = next((layer.thickness.value for layer in layers if layer.role == TRANSDUCER), math.inf)
+    thickness = _transducer_thickness(layers)
     top = OVERTONES * FREQUENCY_CONSTANT / thickness
     if low not in FREQUENCY or high not in FREQUENCY:
         expected = f"frequencies of {frequency_text(FREQUENCY.low, FREQUENCY.high)}, at which {FREQUENCY.subject} works"
@@ -179,7 +179,12 @@ def check_band(layers: Sequence[Layer], band: tuple[float, float], source: str, 
         expected = f"a band whose ends are at most a factor of {WIDEST:g} apart"
     else:
         return
-    raise InputError(source, field, frequency_text(*band), f"{expected}; {_how('band')}", _meant_band(band, thickness))
+    raise InputError(source, field, frequency_text(*band), f"{expected}; {_how('band')}", meant_band(band, layers))
+
+
+def _transducer_thickness(layers: Sequence[Layer]) -> float:
+    """The thickness (m) of the lowest transducer; infinite without any."""
+    return next((layer.thickness.value for layer in layers if layer.role == TRANSDUCER), math.inf)
 
 
 def check_frequency(frequency: object, band: tuple[float, float], *, source: str, field: str) -> float:
@@ -245,10 +250,11 @@ def _stated(
             yield f"features[{i}].{name}", getattr(feature, name), usual, kind
 
 
-def _meant_band(band: tuple[float, float], thickness: float) -> tuple[str, ...]:
+def meant_band(band: tuple[float, float], layers: Sequence[Layer]) -> tuple[str, ...]:
     """The probable band after a slip of decimal point or unit. It is the plausible band nearest to the first
-    resonance of a transducer of that thickness (m)."""
+    resonance of the transducer."""
     low, high = band
+    thickness = _transducer_thickness(layers)
     found = [ends for factor in SLIPS for ends in ((low, high * factor), (low * factor, high * factor),
                                                    (low * factor, high))
              if FREQUENCY.low <= ends[0] < ends[1] <= min(FREQUENCY.high, 4.0 * ends[0])]

@@ -27,7 +27,7 @@ from materials.versions import (
     withdrawal_file,
     withdrawal_text,
 )
-from workbench.files.errors import InputError
+from workbench.files.errors import InputError, file_error
 from workbench.files.tables import FileTable, parse_json, parse_toml
 from workbench.files.writing import write_atomic
 
@@ -153,9 +153,9 @@ def _read(path: Path) -> list[_Entry]:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise InputError(source, "file", path.name, "an existing file") from None
+        raise file_error(path, "an existing file") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(source, "file", path.name, f"a readable text file ({error})") from None
+        raise file_error(path, f"a readable text file ({error})") from None
     data = parse_json(text, source=source, expected="a file of exported materials, whole")
     if not isinstance(data, Mapping) or data.get("format") != FORMAT:
         found = data.get("format") if isinstance(data, Mapping) else type(data).__name__

@@ -19,6 +19,7 @@ import os
 import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -89,6 +90,15 @@ class Registry:
     def names(self) -> tuple[str, ...]:
         """Every ``material/source`` name, sorted, with all versions of saved fits."""
         return tuple(sorted(self._files(), key=lambda name: split_version(name) or (name, 0)))
+
+    def names_of_kind(self, kinds: Iterable[str]) -> frozenset[str]:
+        """Names, with and without source, of entries of these `kinds`."""
+        wanted, found = set(kinds), set[str]()
+        for name, path in self._files().items():
+            with suppress(InputError):
+                if read_toml(path).get("kind") in wanted:
+                    found |= {*_unversioned([name]), name.split("/")[0]}
+        return frozenset(found)
 
     def load(self, name: str, *, temperature: float | None = None, notes: list[str] | None = None) -> Material:
         """Read and check the material called `name`.

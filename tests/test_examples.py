@@ -45,7 +45,7 @@ DRAWN = {
 #: Words of what an example prints: the number that its docstring states, as far as it is printed.
 SAID = {
     "01_first_spectrum": "f0=10304", "02_cavity_height": "height 0.74 mm: f0 1.0225 MHz",
-    "03_your_own_chip": "layers[1].thickness: received '20'",
+    "03_your_own_chip": "couplant, layers[1].thickness: received '20'",
     "04_fit_a_disc": "pzt4/comsol_nominal.c33       1.2167e+11",
     "05_fit_a_polymer": "kept as pla_mine/print_1@1", "06_compare_with_a_recording": "rms of ln(Z/Z_ref) 0.",
     "07_diagnose_a_campaign": "(or fluid sound speed: these recordings cannot tell)",

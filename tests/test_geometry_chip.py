@@ -452,7 +452,7 @@ def test_a_chip_can_be_given_as_tables() -> None:
     disc = {"role": "transducer", "material": "pzt4", "thickness": "2 mm", "radius": "10 mm"}
     chip = parse_chip({"chip": {"name": "disc", "band": ["0.9 MHz", "1.1 MHz"]}, "layers": [disc]}, source="here")
     assert chip.regions == ("transducer",)
-    with pytest.raises(InputError, match=r"here: layers\[0\]\.radius"):
+    with pytest.raises(InputError, match=r"here: transducer, layers\[0\]\.radius"):
         parse_chip(
             {"chip": {"name": "disc", "band": ["0.9 MHz", "1.1 MHz"]}, "layers": [disc | {"radius": 10}]}, source="here"
         )

@@ -91,7 +91,7 @@ def test_a_refused_script_is_named_and_does_not_run(
         monkeypatch.setenv(NO_SCRIPTS, "1")
     assert main([*asked, "--no-scripts"] if by == "option" else asked) == 2
     said = capsys.readouterr().err
-    assert "chip.toml: layers[0].profile.script: received 'disc.py'; expected no script: scripts are refused" in said
+    assert "chip.toml: transducer, layers[0].profile.script: received 'disc.py'; expected no script: scripts" in said
     assert "running" not in said
     assert "Traceback" not in said
     assert not (folder / "EXECUTED").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,10 @@ CHIP_MISTAKES = {
         ["layers[1].bottom", "'1.9 mm'", "2 mm, the top of 'transducer'", "overlaps by 0.1 mm", "leave 'bottom' out"]),
     "gap between layers": (
         'role = "substrate"', 'role = "substrate"\nbottom = "2.1 mm"', ["layers[1].bottom", "leaves a gap", "0.1 mm"]),
+    "role of the layer": ('"0.85 mm"', '"0 mm"', ["chip.toml: substrate, layers[1].thickness: received"]),
+    "degrees Celsius": ('"20 degC"', '"20 C"', ["'20 C'", "did you mean '20 degC'"]),
+    "degree sign": ('"20 degC"', '"20 °C"', ["did you mean '20 degC'"]),
+    "fluid mistyped": ('cavity = "water"', 'cavity = "watr"', ["did you mean 'water' or 'air'?"]),
     "zero thickness": ('"0.85 mm"', '"0 mm"', ["layers[1].thickness", "'0 mm'", "a length above zero"]),
     "negative thickness": ('"0.85 mm"', '"-0.85 mm"', ["layers[1].thickness", "'-0.85 mm'", "a length above zero"]),
     "infinite thickness": ('"0.85 mm"', '"1e999 mm"', ["layers[1].thickness", "'1e999 mm'", "a finite number"]),
@@ -238,7 +243,7 @@ def test_a_wrong_phase_is_a_finding_and_not_mended_silently(
     command = ["compare", "wrong.csv", "chip.toml", "-o", "out", "--accuracy", "0.5 %"]
     message = said(command, capsys, status=0)
     assert word in message
-    assert f"correction='{correction}'" in message
+    assert f"--correction {correction} " in message
     assert "finding" not in said([*command, "--correction", correction], capsys, status=0)
 
 
@@ -322,8 +327,40 @@ COMMAND_MISTAKES: dict[str, tuple[list[str], list[str]]] = {
     "import of nothing": (["materials", "import", "x.json"], ["x.json", "an existing file"]),
     "import of something else": (["materials", "import", "disc.csv"], ["disc.csv", "JSON syntax", "line 1 column 1"]),
     "temperature without unit": (["materials", "show", "water", "--temperature", "25"], ["--temperature", "degC"]),
-    "chip is a folder": (["mesh", "."], ["a readable text file"]),
+    "chip is a folder": (["mesh", "."], ["received '.'; expected a readable text file"]),
+    "recording is a folder": (["compare", ".", "chip.toml", "-o", "out"], ["received '.'; expected a readable file"]),
+    "field frequency in the wrong unit": (["render", "chip.toml", "--at", "400 Hz", "-o", "out"],
+                                          ["'400 Hz'", "did you mean '0.4 MHz'"]),
+    "lower end in the wrong unit": (["mesh", "chip.toml", "--from", "300 MHz"], ["did you mean '0.3 to 0.45 MHz'"]),
 }
+
+
+@pytest.mark.parametrize(("old", "new"), [
+    ('"water"', '"petgg"'), ('"pzt4/acevedo_2026_initial"', '"petgg"'), ('"pzt4/acevedo_2026_initial"', '"waterr"')])
+def test_materials_of_another_kind_are_not_proposed(
+    old: str, new: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "chip.toml").write_text(CHIP.replace(old, new, 1))
+    assert "did you mean" not in said(["mesh", "chip.toml"], capsys)
+
+
+def test_a_recording_in_the_wrong_unit(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "wrong.csv").write_text("Frequency (kHz),R (ohm),X (ohm)\n" + "\n".join(GOOD) + "\n")
+    assert "did you mean '0.3 to 0.32 MHz'" in said(["compare", "wrong.csv", "chip.toml", "-o", "out"], capsys)
+
+
+@pytest.mark.parametrize(("command", "answer"), [
+    (["simulat", "chip.toml"], "invalid choice: 'simulat'.*did you mean 'simulate'"),
+    (["chips", "cpy"], "did you mean 'copy'"),
+    (["mesh", "chip.toml", "--acuracy", "1 %"], "mesh: error: unrecognized argument: --acuracy; did you mean '--acc"),
+    (["export", "chip.toml", "--ouput=out"], "--ouput=out; did you mean '--output'"),
+])
+def test_a_mistyped_word_of_the_command_line(
+    command: list[str], answer: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(command)
+    assert re.search(answer, capsys.readouterr().err)
 
 
 @pytest.mark.parametrize("mistake", COMMAND_MISTAKES)

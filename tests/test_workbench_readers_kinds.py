@@ -436,6 +436,33 @@ def test_lines_that_are_no_rows_are_left_out(above: str, below: str, found: list
     np.testing.assert_allclose(read_recording(path, columns=numbered).spectrum.impedance, Z, rtol=1e-10)
 
 
+@pytest.mark.parametrize(("line", "points"), [
+    ("retry,abc,foo\n", 21), ("retry,abc,foo\nsample,left,early\n", 21), ("oops,1,2\n", 21),
+    ("f (Hz),Cp (F),D\n", 8), ("\nRun,lab,foo\n", 8),
+])
+@pytest.mark.parametrize("falling", [False, True])
+def test_a_line_of_words_within_a_sweep_ends_it_only_as_headings(
+    line: str, points: int, falling: bool, tmp_path: Path
+) -> None:
+    body = rows(FREQUENCY, Z.real, Z.imag).splitlines(keepends=True)[:: -1 if falling else 1]
+    reading = read_recording(written(tmp_path, HEAD + "".join((*body[:8], line, *body[8:]))))
+    assert len(reading.spectrum.frequency) == points
+    message = reading.findings[0].message
+    place = f"line {10 + line.startswith(chr(10))} {line.strip().splitlines()[0]!r}"
+    assert message.startswith("file.csv: ")
+    assert place in message
+    restarted = read_recording(written(tmp_path, HEAD + "".join((*body, "retry,abc,foo\n", *body))))
+    assert restarted.findings[0].code == "another_table"
+    np.testing.assert_allclose(restarted.spectrum.impedance, Z, rtol=1e-10)
+
+
+def test_many_lines_of_words_within_a_sweep_are_an_error(tmp_path: Path) -> None:
+    body = rows(FREQUENCY, Z.real, Z.imag).splitlines(keepends=True)
+    path = written(tmp_path, HEAD + body[0] + "retry,abc,foo\n".join(body[1:]))
+    with pytest.raises(InputError, match="line 4: received 'retry,abc,foo'; expected 3 columns of numbers; 19 lines"):
+        read_recording(path)
+
+
 @pytest.mark.parametrize(("below", "message"), [
     ("1060000,7.1\n", "3 columns; this row has 2"), ("10600\n", "3 columns; this row has 1"),
     ("1060000,1,2,3\n", "3 columns; this row has 4"), (",1,2\n", "this cell is empty"),
@@ -513,7 +540,7 @@ def test_a_stretch_of_turned_signs_is_named_and_nothing_is_advised(begin: int, e
     assert findings[0].code == "stretch"
     assert f"points {begin + 1} to {end} " in findings[0].message
     assert "no correction" in findings[0].message
-    assert not any("correction=" in finding.message for finding in findings)
+    assert not any("--correction" in finding.message for finding in findings)
 
 
 def flip_real(z: np.ndarray) -> np.ndarray:

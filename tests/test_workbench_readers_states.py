@@ -108,7 +108,7 @@ def test_a_lost_sign_is_named_and_put_back(frequency: NDArray[np.float64], sign:
         for correction in (None, "conjugate"):
             (finding,) = read_recording(path, correction=correction).findings
             assert finding.code == "unsigned"
-            assert "without its sign; read with correction='signs'" in finding.message
+            assert "without its sign; read with --correction signs" in finding.message
             assert "conjugate" not in finding.message
         reading = read_recording(path, correction="signs")
         np.testing.assert_allclose(reading.spectrum.impedance, z, rtol=1e-7)

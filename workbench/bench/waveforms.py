@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.files.errors import InputError
+from workbench.files.errors import InputError, file_error
 from workbench.instruments.instrument import Waveform
 from workbench.instruments.waveform_table import READ, UNNAMED, decoded, read_table, signal_unit, waveform_table
 
@@ -84,7 +84,7 @@ def _content(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise InputError(str(path), "file", path.name, f"a readable file ({error.strerror})") from None
+        raise file_error(path, f"a readable file ({error.strerror})") from None
 
 
 def _is_tds(data: bytes) -> bool:

@@ -11,7 +11,7 @@ from workbench.commands.states import run_state
 from workbench.commands.terminal import print_paragraph, print_table, progress_bars, say_finding
 from workbench.files.errors import InputError
 from workbench.files.ownership import Outputs
-from workbench.files.quantities import frequency_text
+from workbench.files.quantities import frequency_text, in_another_unit
 from workbench.files.writing import write_json
 from workbench.model.problem import fill
 from workbench.readers.energy_table import read_energy_recording, recognises_energy
@@ -57,7 +57,7 @@ def run_compare_energy(options: argparse.Namespace, outputs: Outputs, console: C
         raise InputError(
             str(options.recording), "frequency", frequency_text(*recording.frequency[[0, -1]]),
             f"2 points or more in the band of {options.chip}, {frequency_text(*model.band)}; --from and "
-            "--to set another band")
+            "--to set another band", in_another_unit(model.band, *recording.frequency[[0, -1]]))
     folder = output_folder(options, outputs)
     with progress_bars(console) as show:
         run = run_state(chip, state, model, show)

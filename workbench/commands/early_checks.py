@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from geometry.operating_point import parse_operating_point
-from workbench.files.errors import InputError, nearest_files
+from workbench.files.errors import InputError, file_error, nearest_files
 from workbench.files.quantities import parse_quantity
 from workbench.files.tables import read_toml
 
@@ -50,7 +50,7 @@ def check_early(options: argparse.Namespace) -> None:
         if key == "campaign" and hasattr(options, "chip"):
             continue  # an option of the live view, which names it
         if isinstance(path, Path) and not path.exists():
-            raise InputError(str(path), "file", path.name, "an existing file", nearest_files(path, _of_kind(path)))
+            raise file_error(path, "an existing file", nearest_files(path, _of_kind(path)))
     for key, (field, dimension) in QUANTITIES.items():
         text = getattr(options, key, None)
         if isinstance(text, str):

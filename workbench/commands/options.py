@@ -6,7 +6,8 @@ Only argparse is imported, so that help and mistakes in options need no waiting.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import NoReturn
 
@@ -19,9 +20,36 @@ ACCURACY = "0.05 %"
 OUTPUT_HELP = "folder for the results, created if needed"
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser that names the nearest choices in its errors."""
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Refuse unknown long options first, so that no other error hides them."""
+        for text in [] if self._subparsers or args is None else takewhile("--".__ne__, args):
+            name = text.partition("=")[0]
+            if name.startswith("--") and not any(known.startswith(name) for known in self._option_string_actions):
+                self.error(f"unrecognized argument: {text}{_near(name, self._option_string_actions)}")
+        return super().parse_known_args(args, namespace)
+
+    def _check_value(self, action: argparse.Action, value: object) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            error.message += _near(str(value), action.choices or ())
+            raise
+
+
+def _near(name: str, known: Iterable[str]) -> str:
+    from workbench.files.errors import hint, nearest_names
+
+    return hint(nearest_names(name, known))
+
+
 def command_parser() -> argparse.ArgumentParser:
     """The parser of the command line; ``options.command`` names the command."""
-    whole = argparse.ArgumentParser(
+    whole = _Parser(
         prog="workbench", formatter_class=argparse.RawDescriptionHelpFormatter,
         description="Simulate an acoustofluidic chip, compare it with a recording, look at its fields.",
         epilog="exit status: 0 done, 1 computation failed (or memory was not enough), 2 mistake in the command or a "

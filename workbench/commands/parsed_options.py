@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 from geometry.chip import Chip
 from geometry.chip_section import outer_boundaries
 from geometry.operating_point import parse_operating_point
-from geometry.plausible import check_band
+from geometry.plausible import check_band, meant_band
 from materials.registry import Registry, user_folder, user_registry
 from workbench.acoustics.heat import STILL_AIR
 from workbench.files.errors import InputError, choose
 from workbench.files.output import ROOM, begin
 from workbench.files.ownership import Outputs
-from workbench.files.quantities import frequency_text, parse_quantity
+from workbench.files.quantities import frequency_text, in_another_unit, parse_quantity
 from workbench.model.discretisation import Discretisation, discretisation
 from workbench.model.drive import Drive, parse_drive, wired
 from workbench.model.job_size import check_points
@@ -62,7 +62,7 @@ def model_options(options: argparse.Namespace, chip: Chip) -> ModelOptions:
     at = None if options.at is None else parse_operating_point(options.at)
     if isinstance(at, float) and not band[0] <= at <= band[1]:
         raise InputError("command line", "--at", options.at, f"a frequency within the band the mesh is made for, "
-                         f"{frequency_text(*band)}, or a wider band by --from and --to")
+                         f"{frequency_text(*band)}, or a wider band by --from and --to", in_another_unit(band, at))
     return ModelOptions(
         registry=user_registry(options.materials, inviscid=options.inviscid), band=band, points=options.points, at=at,
         full=options.full, relative_error=relative_error_option(options), drive=wired(parse_drive(options.drive), chip),
@@ -146,7 +146,8 @@ def band_option(options: argparse.Namespace, chip: Chip) -> tuple[float, float]:
 
     band = end(options.low, chip.band[0], "--from"), end(options.high, chip.band[1], "--to")
     if not 0.0 < band[0] < band[1]:
-        raise InputError("command line", "--from, --to", frequency_text(*band), "a rising band")
+        raise InputError("command line", "--from, --to", frequency_text(*band), "a rising band",
+                         meant_band(band, chip.layers))
     if "band" not in chip.unusual:
         check_band(chip.layers, band, "command line", "--from, --to")
     return band
@@ -184,7 +185,7 @@ def common_band(
         raise InputError(
             str(options.recording), "frequency", frequency_text(*recorded[[0, -1]]),
             f"2 points or more in the band of {options.chip}, {frequency_text(*band)}; --from and --to set "
-            "another band")
+            "another band", in_another_unit(band, *recorded[[0, -1]]))
     return max(band[0], float(recorded[0])), min(band[1], float(recorded[-1]))
 
 

@@ -48,7 +48,7 @@ from workbench.design.thermal import read_thermal
 from workbench.design.variables import MaterialChoice, Variable, VariedNumber
 from workbench.files.errors import InputError, choose, expect
 from workbench.files.names import check_title
-from workbench.files.quantities import ProgramSource, frequency_text
+from workbench.files.quantities import ProgramSource, frequency_text, in_another_unit
 from workbench.files.tables import FileTable
 from workbench.model.discretisation import ACCURACY, discretisation
 from workbench.model.drive import Drive, read_drive
@@ -264,7 +264,8 @@ def frequency_key(head: FileTable, band: tuple[float, float]) -> float | str | N
     found = parse_operating_point(stated, source=head.source, field=head.at("frequency")) if isinstance(
         stated, str) else head.quantity("frequency", "frequency")
     if isinstance(found, float) and not band[0] <= found <= band[1]:
-        raise head.error("frequency", f'"energy", "f0", or a frequency within the band, {frequency_text(*band)}')
+        raise head.error("frequency", f'"energy", "f0", or a frequency within the band, {frequency_text(*band)}',
+                         in_another_unit(band, found))
     return found
 
 

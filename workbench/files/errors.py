@@ -21,21 +21,34 @@ LISTED = 15
 class InputError(ValueError):
     """A mistake in a user's input. ``source`` is the file or command, ``field`` the place in it, ``value`` the received
     value, None if missing, and ``expected`` a description of a correct one; ``nearest`` lists valid choices close to a
-    mistyped name."""
+    mistyped name. ``owner`` names the part of a device to which the field belongs."""
 
     source: str
     field: str
     value: object
     expected: str
     nearest: tuple[str, ...] = ()
+    owner: str = ""
 
     def __str__(self) -> str:
-        hint = f"; did you mean {' or '.join(repr(n) for n in self.nearest)}?" if self.nearest else ""
         received = "missing" if self.value is None else f"received {_shown(self.value)}"
-        return f"{self.source}: {self.field}: {received}; expected {self.expected}{hint}"
+        field = f"{self.owner}, {self.field}" if self.owner else self.field
+        return f"{self.source}: {field}: {received}; expected {self.expected}{hint(self.nearest)}"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return (InputError, (self.source, self.field, self.value, self.expected, self.nearest))
+        return (InputError, (self.source, self.field, self.value, self.expected, self.nearest, self.owner))
+
+
+def hint(nearest: Iterable[str]) -> str:
+    """The question for one of the `nearest` choices, or ""."""
+    names = " or ".join(map(repr, nearest))
+    return f"; did you mean {names}?" if names else ""
+
+
+def file_error(path: Path, expected: str, nearest: tuple[str, ...] = ()) -> InputError:
+    """The error for a file that cannot be read."""
+    # The path of the working folder has no name.
+    return InputError(str(path), "file", path.name or str(path), expected, nearest)
 
 
 def _shown(value: object) -> str:

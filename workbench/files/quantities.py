@@ -63,7 +63,10 @@ SPARED = 6
 _COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?![\d,.])")
 
 #: The unit of a dimension in messages, if it is not the first one.
-EXAMPLES: Mapping[str, str] = {"length": "mm", "frequency": "MHz", "mass": "mg"}
+EXAMPLES: Mapping[str, str] = {"length": "mm", "frequency": "MHz", "mass": "mg", "temperature": "degC"}
+
+#: Other spellings of a degree Celsius, without blanks and in lower case.
+CELSIUS = ("c", "°c", "ºc", "℃", "celsius", "degc", "degreesc", "degreec", "degreescelsius")
 
 #: Dimensions whose numbers may stand without a unit.
 BARE = ("dimensionless", "permittivity")
@@ -122,6 +125,16 @@ def frequency_text(*frequencies: float) -> str:
                        for each, (unit, factor) in zip(frequencies, units, strict=True)) + f" {last}"
 
 
+def in_another_unit(band: tuple[float, float], *frequencies: float) -> tuple[str, ...]:
+    """Texts of a frequency, or of two ends (Hz), in another unit.
+
+    In that unit they lie in the `band` (Hz) or overlap it.
+    """
+    low, high = frequencies[0], frequencies[-1]
+    return tuple(frequency_text(*(each * factor for each in frequencies)) for factor in (1e3, 1e-3, 1e6, 1e-6)
+                 if low * factor <= band[1] and high * factor >= band[0])
+
+
 def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> float:
     """The SI value of a text such as ``"2.02 mm"``.
 
@@ -155,7 +168,10 @@ def parse_quantity(text: object, dimension: str, *, source: str, field: str) -> 
     number, unit = float(match.group(1)), match.group(2) or ("1" if dimension in BARE else "")
     if unit not in units:
         expected = f"{named} in one of {', '.join(units)}"
-        raise InputError(source, field, text, expected, nearest_names(unit, units) if unit else ())
+        near = nearest_names(unit, units) if unit else ()
+        if dimension == "temperature" and "".join(unit.casefold().split()) in CELSIUS:
+            near = (f"{match.group(1)} degC",)
+        raise InputError(source, field, text, expected, near)
     if not math.isfinite(number):
         raise InputError(source, field, text, "a finite number")
     return number + 273.15 if unit == "degC" else number * units[unit]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.files.errors import InputError
+from workbench.files.errors import InputError, file_error
 from workbench.files.writing import replacing
 
 #: Beginning of the last line; the digest in hexadecimal digits and a line end follow.
@@ -49,7 +49,7 @@ def is_sealed(path: Path) -> bool:
     try:
         digest, end = _digest_and_end(path, _SIZE)
     except OSError as error:
-        raise InputError(str(path), "file", path.name, f"a readable file ({error.strerror or error})") from error
+        raise file_error(path, f"a readable file ({error.strerror or error})") from error
     if not end.startswith(_MARK):
         return False
     if end != _MARK + digest + b"\n":

@@ -12,7 +12,7 @@ from pathlib import Path, PurePath
 from types import MappingProxyType
 from typing import Any
 
-from workbench.files.errors import InputError, choose, nearest_files, nearest_names, one_of
+from workbench.files.errors import InputError, choose, file_error, nearest_files, nearest_names, one_of
 from workbench.files.quantities import parse_quantity
 
 #: Most levels of tables and lists in a file. Files of the workbench have at most eight; Python's own limits for reading
@@ -97,10 +97,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         near = nearest_files(path, lambda each: each.suffix == ".toml")
-        raise InputError(str(path), "file", path.name, "an existing file", near) from None
+        raise file_error(path, "an existing file", near) from None
     except (OSError, ValueError) as error:
         # A path with a zero byte, and a byte that is not UTF-8, are ValueErrors.
-        raise InputError(str(path), "file", path.name, f"a readable text file ({error})") from None
+        raise file_error(path, f"a readable text file ({error})") from None
     return parse_toml(text, source=str(path))
 
 

@@ -31,7 +31,7 @@ from materials.assumed import with_assumed_loss
 from materials.kinds import CubicSolid, Fluid, IsotropicSolid, Piezoelectric
 from materials.registry import Material, Registry
 from materials.use import check_use
-from workbench.files.errors import InputError
+from workbench.files.errors import InputError, nearest_names
 from workbench.model.discretisation import ACCURACY, Discretisation, discretisation
 from workbench.model.job_size import check_size
 from workbench.model.particles import STIFF, Particle, breathing_frequency, particle_from
@@ -40,6 +40,10 @@ from workbench.model.validity import check_validity
 from workbench.physics import absorption, boundary_layer, cubic, electrodes, fluid, piezoelectric, solid
 from workbench.physics.term import Term
 from workbench.results.brief import Brief
+
+#: Kinds of material, as in their files, that a message proposes for a role; for other roles, :data:`SOLIDS`.
+KINDS_OF_ROLES: Mapping[str, tuple[str, ...]] = {CAVITY: ("fluid",), TRANSDUCER: ("piezoelectric",)}
+SOLIDS = ("isotropic solid", "cubic solid", "piezoelectric")
 
 
 class LeftOutWarning(UserWarning):
@@ -358,7 +362,9 @@ def _load(
         return registry.load(name, temperature=temperature, notes=findings)
     except InputError as error:
         if error.source == "materials" and error.field == "name":
-            raise InputError(chip.file, f"material of {region}", name, error.expected, error.nearest) from error
+            known = registry.names_of_kind(KINDS_OF_ROLES.get(role_of(region), SOLIDS))
+            near = tuple(each for each in error.nearest if each in known) or nearest_names(name, sorted(known))
+            raise InputError(chip.file, f"material of {region}", name, error.expected, near) from error
         if temperature is not None and "temperature" in error.field:
             field = f"states.{state.name}.temperature"
             raise InputError(chip.file, field, error.value, f"{error.expected}, by {name}") from error

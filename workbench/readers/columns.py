@@ -232,10 +232,11 @@ def recorded(
     if table.skipped:
         said = "; ".join(f"line {line} {text.lines[line - 1].strip()[:40]!r}" for line in table.skipped[:3])
         many = f"{len(table.skipped)} lines" if len(table.skipped) > 1 else "one line"
-        found.append(Finding("no_rows", f"{many} below the first row left out as no rows: {said}"
+        found.append(Finding("no_rows", f"{Path(text.path).name}: {many} below the first row left out as no "
+                             f"rows: {said}"
                              + (" ..." if len(table.skipped) > 3 else "")))
     if table.next_table is not None:
-        found.append(Finding("another_table", f"line {table.next_table} "
+        found.append(Finding("another_table", f"{Path(text.path).name}: line {table.next_table} "
                              f"{text.lines[table.next_table - 1].strip()[:60]!r} begins another table, "
                              "which is not read"))
     if columns.quantity.unsigned_losses(values[1], values[2]):

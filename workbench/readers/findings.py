@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from workbench.files.quantities import frequency_text
 from workbench.readers.outliers import off_the_grid, outliers
 from workbench.results.signs import lost_signs, with_signs
-from workbench.results.spectrum import Spectrum, scatter, turns_anticlockwise
+from workbench.results.spectrum import CORRECTION, Spectrum, scatter, turns_anticlockwise
 
 #: Lowest and highest impedance and lowest frequency that bench analysers of this kind reach (E4990A data sheet: 20 Hz;
 #: 25 milliohm to 40 megohm), with a margin. A value outside is probably in a misread unit.
@@ -111,8 +111,8 @@ def examine(spectrum: Spectrum, *, rows: Rows | None = None, shunt_gain: bool = 
         said = f"{rows_in_words(rows.of(kinks), rows.word)} ({places})"
         word = "negative" if spectrum.impedance.imag[kinks[0]] >= 0.0 else "positive"
         lost = Finding("unsigned", f"the phase (or reactance) is never {word} and touches zero with a kink behind "
-                       f"{said}: it was written without its sign; read with correction='signs', which puts the signs "
-                       "back from the kinks")
+                       f"{said}: it was written without its sign; read with "
+                       f"{CORRECTION.format(name='signs')}, which puts the signs back from the kinks")
         signed = replace(spectrum, impedance=with_signs(spectrum.impedance))
         return lost, *examine(signed, rows=rows, shunt_gain=shunt_gain)
     odd_points = outliers(frequency, spectrum.impedance)
@@ -139,13 +139,16 @@ def examine(spectrum: Spectrum, *, rows: Rows | None = None, shunt_gain: bool = 
     if active >= 0.9 * points and not stretches:
         if shunt_gain:
             findings.append(Finding("inverse_ratio", f"Re Z < 0 at {active} of {points} points: the gain is "
-                                    "probably the inverse ratio; read with inverse=True (or False if it was set)"))
+                                    "probably the inverse ratio; set inverse = true in the column map (false if it "
+                                    "was true)"))
         else:
             findings.append(Finding("negated", f"Re Z < 0 at {active} of {points} points: the phase is probably "
-                                    "off by 180 degrees (reversed polarity); read with correction='negate'"))
+                                    "off by 180 degrees (reversed polarity); read with "
+                                    f"{CORRECTION.format(name='negate')}"))
     elif not stretches and turns_anticlockwise(spectrum):
         findings.append(Finding("conjugated", "possible phase-sign error: the reflection coefficient turns "
-                                "anticlockwise with rising frequency; read with correction='conjugate'"))
+                                "anticlockwise with rising frequency; read with "
+                                f"{CORRECTION.format(name='conjugate')}"))
     typical = float(np.median(spectrum.magnitude))
     if not PLAUSIBLE_OHM[0] <= typical <= PLAUSIBLE_OHM[1]:
         findings.append(Finding("magnitude", f"the median |Z| is {typical:.3g} ohm: is the unit right?"))

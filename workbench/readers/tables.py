@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -29,6 +30,8 @@ from workbench.readers.text import (
 #: Number of lines in which headings are looked for if no rows of numbers follow.
 HEADINGS_WITHIN = 1000
 DELIMITERS = ("\t", ";", ",", " ")
+#: Most lines of words within a sweep: this many, or this share of its rows. Doubled, a damaged file passes.
+MOST_WORDS = (3, 0.1)
 #: Values of a column that a message names.
 _NAMED = 12
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
@@ -147,19 +150,19 @@ class Table:
     def with_rows(self, frequency: int, decimal: str = "", *, strict: bool = False) -> Table:
         """The table with its rows, which have a number as frequency.
 
-        Other lines are no rows: units, END, totals, remarks, and a lone number that counts the rows. A line of other
-        headings begins another table, which is not read. In a `strict` table every line is a row. Without a `decimal`
-        mark the rows decide on it.
+        Other lines are no rows: units, END, totals, remarks, and a lone number that counts the rows. A line of words
+        within a sweep is left out; any other line of words is the headings of another table, which is not read. In a
+        `strict` table every line is a row. Without a `decimal` mark the rows decide on it.
 
         Raises:
             InputError: a row cut short or with more cells than columns; a cell that should be a frequency beside
-                numbers; rows of either decimal mark.
+                numbers; rows of either decimal mark; more lines of words than :data:`MOST_WORDS`.
         """
         table = replace(self, decimal=decimal or self.decimal_mark())
         decimal, width = table.decimal, self.width
         above = cells(uncommented(self.text.lines[self.line]), self.delimiter) if self.headings else []
         rows: dict[int, tuple[str, ...]] = {}
-        skipped, next_table = [], None
+        skipped, words, next_table = [], list[int](), None
         for line, content, row in self.content:
             first = row[frequency] if frequency < len(row) else ""
             others = sum(is_number(cell, decimal) or complex_parts(cell) is not None
@@ -187,13 +190,36 @@ class Table:
                 cell_number(self.text, line, frequency + 1, cell=first, decimal=decimal)
             if not rows or row == above:
                 continue
-            if not others and len(row) == width > 1 and all(row):
+            if not others and len(row) == width > 1 and all(row) and (
+                    not table._goes_on(line, frequency, rows, words)):
                 next_table = line
                 break
+            words += [line] if len(row) == width and all(row) else []
             if content.strip(" ,;\t").casefold() != "end":
                 skipped.append(line)
+        if len(words) > max(MOST_WORDS[0], MOST_WORDS[1] * len(rows)):
+            raise self.text.error(words[0], None, self.text.lines[words[0] - 1], f"{width} columns of numbers; "
+                                  f"{len(words)} lines among {len(rows)} rows hold words")
         return replace(table, cells=tuple(rows.values()), lines=tuple(rows), skipped=tuple(skipped),
                        next_table=next_table)
+
+    def _goes_on(self, line: int, frequency: int, rows: Mapping[int, Sequence[str]], words: Sequence[int]) -> bool:
+        """Whether the sweep continues below a `line` of words.
+
+        The line stands directly below one of the `rows` or another line of `words`, and the next row has as many
+        numbers as the rows above and continues their frequencies.
+        """
+        if not (line - 1 in rows or line - 1 in words) or _by_headings(self.text, line - 1) is not None:
+            return False
+        below = next((row for number, _, row in self.content if number > line
+                      and is_cell(row[min(frequency, len(row) - 1)])), [])
+        if len(below) != self.width or not all(is_cell(cell) or holds_no_value(cell) for cell in below):
+            return False
+        following, last, *others = (value_of(row[frequency], self.decimal) or math.nan
+                                    for row in [*rows.values(), below][::-1])
+        # Readings may be repeated at one frequency, and a sweep may rise and fall.
+        before = next((value for value in others if value != last), math.nan)
+        return (following - last) * (last - before) >= 0.0
 
     def where(self, select: Mapping[str, object]) -> Table:
         """The table with the rows that hold the values `select`, by column.

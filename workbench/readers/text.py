@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from workbench.files.errors import InputError, nearest_files
+from workbench.files.errors import InputError, file_error, nearest_files
 from workbench.instruments.waveform_table import recognised
 from workbench.results.spectrum import Origin
 
@@ -95,9 +95,9 @@ def load_text(path: Path) -> RecordingText:
         data = path.read_bytes()
     except FileNotFoundError:
         near = nearest_files(path, Path.is_file)
-        raise InputError(str(path), "file", path.name, "an existing file", near) from None
+        raise file_error(path, "an existing file", near) from None
     except OSError as error:
-        raise InputError(str(path), "file", path.name, f"a readable file ({error.strerror})") from None
+        raise file_error(path, f"a readable file ({error.strerror})") from None
     # A waveform in a Tektronix .ISF file is binary after a text header; it deserves its own message.
     if _is_binary(data) and data[:8].upper().startswith((b":WFMP", b"WFMP")):
         raise _waveform(str(path), data[:40].decode("latin-1"))

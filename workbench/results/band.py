@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from workbench.files.errors import InputError
-from workbench.files.quantities import ProgramSource, frequency_text, parse_quantity
+from workbench.files.quantities import ProgramSource, frequency_text, in_another_unit, parse_quantity
 from workbench.results.spectrum import Spectrum, WithSpectrum, spectrum_of
 
 #: Range of |Z| (ohm) for a fit of a circuit. Every device is well within it; far beyond it, squares overflow.
@@ -50,7 +50,8 @@ def frequency_within(near: float | str, spectrum: Spectrum, *, source: str) -> f
     first, last = np.diff(spectrum.frequency)[[0, -1]]
     # The end of a band is seldom a point.
     if not low - first <= found <= high + last:
-        raise InputError(source, "near", near, f"a frequency within the band, {frequency_text(low, high)}")
+        raise InputError(source, "near", near, f"a frequency within the band, {frequency_text(low, high)}",
+                         in_another_unit((low, high), found))
     return found
 
 

@@ -26,7 +26,7 @@ from workbench.files.quantities import frequency_text
 from workbench.results.band import fitted_points, frequency_within
 from workbench.results.brief import Brief
 from workbench.results.merit import figures
-from workbench.results.spectrum import Spectrum, WithSpectrum, turns_anticlockwise
+from workbench.results.spectrum import CORRECTION, Spectrum, WithSpectrum, turns_anticlockwise
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -176,7 +176,7 @@ def fit_circuit(
     return replace(fit, findings=(
         f"the circuit has a residual of {residual:.3g} % of Z (rms), more than {limit:g} %, so its values mean "
         "little: several resonances in the band (fit_resonances fits them together; or a narrower band), a "
-        'reactance of reversed sign (read it with correction="conjugate"), or noise',))
+        f"reactance of reversed sign (read it with {CORRECTION.format(name='conjugate')}), or noise",))
 
 
 def bvd_impedance(
@@ -211,13 +211,14 @@ def check_passive_spectrum(spectrum: Spectrum, *, source: str) -> None:
         raise InputError(
             source, "spectrum",
             f"Re Z = {spectrum.impedance[worst].real:.4g} ohm at {frequency_text(spectrum.frequency[worst])}",
-            "that of a passive device, Re Z > 0; if its sign was recorded wrongly, read it with correction=\"negate\"")
+            "that of a passive device, Re Z > 0; if its sign was recorded wrongly, read it with "
+            + CORRECTION.format(name="negate"))
     # A lossy device may turn anticlockwise in a narrow band too; if it is mostly capacitive, its sign is right.
     if turns_anticlockwise(spectrum) and np.median(spectrum.impedance.imag) > 0.0:
         raise InputError(
             source, "spectrum", "a reflection coefficient that turns anticlockwise with rising frequency",
             "one that turns clockwise, as that of any passive device; if the sign of its phase was recorded wrongly, "
-            'read it with correction="conjugate"')
+            f"read it with {CORRECTION.format(name='conjugate')}")
 
 
 @dataclass(frozen=True, eq=False)

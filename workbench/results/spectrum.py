@@ -273,6 +273,10 @@ def _refuse(
         raise ValueError(f"{name}[{index}] = {values[index]} must be {expected}")
 
 
+#: A correction in messages, on the command line and in Python.
+CORRECTION = '--correction {name} (correction="{name}")'
+
+
 def corrected(spectrum: Spectrum, correction: str) -> Spectrum:
     """Correct the sign of a spectrum; its origin's settings note this.
 
