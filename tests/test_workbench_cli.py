@@ -61,8 +61,8 @@ def test_every_option_says_what_it_is_for_and_its_default(
     for action in every_action(subparsers.choices[command]):
         if action.option_strings and "--help" not in action.option_strings:
             assert action.help, action.option_strings
-            # What a flag turns on is off by default.
-            flag = isinstance(action, argparse._StoreTrueAction)
+            # A flag's default is the opposite of its effect.
+            flag = isinstance(action, argparse._StoreTrueAction | argparse._StoreFalseAction)
             assert action.required or flag or "default" in action.help, action.option_strings
             if isinstance(action.default, int | float) and not flag:
                 assert f"{action.default:g}".replace("e-05", "e-5") in action.help, action.option_strings

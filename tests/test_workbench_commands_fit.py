@@ -162,7 +162,7 @@ def test_a_sample_is_fitted_with_its_gel(folder: Path, tmp_path: Path, capsys: p
         (["disc", "--from", "335 kHz", "--to", "375 kHz"], "at least as many as free parameters, 1"),
         (["disc", "--from", "1 MHz", "--to", "2 MHz"], "2 points or more"),
         (["disc", "--save", "pzt4"], "material/name"),
-        (["disc", "--gel-study", "5um"], "unrecognized arguments"),
+        (["disc", "--gel-study", "5um"], "unrecognized argument: --gel-study"),
         (["disc", "--tries", "-1"], "0 for none"),
         (["ten_times_thicker"], "this recording is not of this device"),
         (["ten_times_wider"], "this recording is not of this device"),

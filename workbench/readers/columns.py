@@ -18,7 +18,7 @@ from workbench.files.quantities import UNITS
 from workbench.files.tables import FileTable
 from workbench.files.toml import toml_lines
 from workbench.readers.findings import Finding
-from workbench.readers.headings import RECTANGULAR, SYMBOLS, Heading, hint, understand, units_of
+from workbench.readers.headings import RECTANGULAR, SYMBOLS, Heading, apparent_meaning, understand, units_of
 from workbench.readers.quantities import RecordedQuantity
 from workbench.readers.states import select_of, telling_columns, values_in_words
 from workbench.readers.sweep import ONE_FREQUENCY, Reading, in_order
@@ -310,7 +310,7 @@ def contradiction(columns: ColumnMap) -> Contradiction | None:
         if isinstance(name, int) or (len(name) == 1 and name.islower()):
             continue
         heading = understand(name)
-        if heading is None and (heading := hint(name)) is not None and heading.part == "whole" and part in (
+        if heading is None and (heading := apparent_meaning(name)) is not None and heading.part == "whole" and part in (
                 "real", "imaginary"):
             # A unit among foreign words leaves the part open.
             heading = replace(heading, part=part)

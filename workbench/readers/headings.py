@@ -108,7 +108,7 @@ def understand(heading: str) -> Heading | None:
     return found
 
 
-def hint(heading: str) -> Heading | None:
+def apparent_meaning(heading: str) -> Heading | None:
     """Apparent meaning of a heading that is not understood, or None.
 
     It is the meaning of its known words and of its unit, if they name one part of one quantity.

@@ -15,7 +15,7 @@ import numpy as np
 
 from workbench.files.errors import InputError
 from workbench.readers.columns import PART_WORDS, ColumnMap, contradiction, map_text
-from workbench.readers.headings import SYMBOLS, Heading, hint
+from workbench.readers.headings import SYMBOLS, Heading, apparent_meaning
 from workbench.readers.pairs import HeadedTable, Pair, find_pairs, stated_ports
 from workbench.readers.quantities import PHASE_UNITS, RecordedQuantity, units
 from workbench.readers.tables import Table
@@ -46,11 +46,11 @@ def headings_in_doubt(
 def proposal(headed: HeadedTable, pair: Pair | None, doubts: Mapping[str, str], select: Mapping[str, str]) -> str:
     """The text of the most likely column map, or "".
 
-    No map contradicts a heading. Headings that are not understood count by their apparent meaning (:func:`hint`).
-    `select` is the entry for one state.
+    No map contradicts a heading. Headings that are not understood count by their apparent meaning
+    (:func:`apparent_meaning`). `select` is the entry for one state.
     """
     table, known, second_file = headed.table, headed.known, ""
-    seen = replace(headed, known=[heading or (hint(table.headings[place]) if table.headings else None)
+    seen = replace(headed, known=[heading or (apparent_meaning(table.headings[place]) if table.headings else None)
                                   for place, heading in enumerate(known)], reference=None)
     place = _frequency(headed, seen)
     if pair is None and table.headings and not any(re.search(_GAIN, heading) for heading in table.headings):
