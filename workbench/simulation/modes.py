@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,7 @@ from workbench.fem.capacitance import clamped_capacitance
 from workbench.fem.energy import by_place, energy_shares
 from workbench.fem.modes import LEAST_Q, Eigenmodes, eigenmodes
 from workbench.fem.operators import FullOperators, assemble
-from workbench.fem.solve import System
+from workbench.fem.solve import System, one_thread
 from workbench.files.errors import InputError
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.discretisation import ACCURACY, Discretisation
@@ -46,6 +47,9 @@ LEAST_COUPLING = 1e-3
 
 #: Distance from the highest point of a region, as a share of its height, within which a node is on its upper face.
 AT_FACE = 1e-6
+
+#: Orders or wavelengths that are solved at the same time.
+TOGETHER = 2
 
 #: Regions that the words of a mode name, and the least share of its energy that they hold.
 NAMED, LEAST_SHARE = 2, 0.1
@@ -169,22 +173,27 @@ def modes(
     device = fill(chip, state, registry_of(chip, registry))
     posed = build(device, band=span, accuracy=accuracy)
     nodal, dofs = section_nodes(posed.mesh)
-    found: list[ChipMode] = []
-    operators: FullOperators | None = None
-    for k, number in enumerate(values):
-        progress("modes", k / len(values))
-        is_first = not is_straight and number == 1.0
-        terms = terms_of_order(posed.terms, is_first=is_first) if number else posed.terms
+    assembled: list[FullOperators] = []
+    for number in values:
+        terms = terms_of_order(posed.terms, is_first=not is_straight and number == 1.0) if number else posed.terms
         # All orders above the first have one model.
-        operators = operators if operators and operators.terms == terms else assemble(posed.mesh, terms)
+        assembled.append(next((each for each in assembled if each.terms == terms), None) or assemble(posed.mesh, terms))
+
+    def solved(number: float, operators: FullOperators) -> list[ChipMode]:
         system = System(operators, {**posed.values, ORDER: number})
-        solved = eigenmodes(system, span, least_q=least_q)
-        capacitances, clamped = np.zeros(solved.omega.size), 1.0
+        found = eigenmodes(system, span, least_q=least_q)
+        capacitances, clamped = np.zeros(found.omega.size), 1.0
         if number == 0.0:  # Modes of other orders are not driven.
-            capacitances = _capacitances(system, solved)
+            capacitances = _capacitances(system, found)
             clamped = clamped_capacitance(operators, system.values, 0.5 * sum(span))
-        found += described_modes(system, solved, capacitances, clamped, nodal=nodal, dofs=dofs, number=number)
-    progress("modes", 1.0)
+        return described_modes(system, found, capacitances, clamped, nodal=nodal, dofs=dofs, number=number)
+
+    found: list[ChipMode] = []
+    progress("modes", 0.0)
+    with one_thread(), ThreadPoolExecutor(TOGETHER) as pool:
+        for k, some in enumerate(pool.map(solved, values, assembled)):
+            progress("modes", (k + 1.0) / len(values))
+            found += some
     return ChipModes(chip, device.state.name, span, least_q, tuple(sorted(found, key=lambda mode: mode.frequency)),
                  nodal)
 
