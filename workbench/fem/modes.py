@@ -27,7 +27,6 @@ from workbench.fem.forms import real_times
 from workbench.fem.operators import FullOperators
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import Factor, System, one_thread
-from workbench.fem.sparsity import real_product
 from workbench.files.quantities import frequency_text
 from workbench.physics.term import Values
 
