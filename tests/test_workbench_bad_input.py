@@ -353,6 +353,7 @@ def test_a_recording_in_the_wrong_unit(folder: Path, capsys: pytest.CaptureFixtu
     (["simulat", "chip.toml"], "invalid choice: 'simulat'.*did you mean 'simulate'"),
     (["chips", "cpy"], "did you mean 'copy'"),
     (["mesh", "chip.toml", "--acuracy", "1 %"], "mesh: error: unrecognized argument: --acuracy; did you mean '--acc"),
+    (["--versoin"], "workbench: error: unrecognized argument: --versoin; did you mean '--version'"),
     (["export", "chip.toml", "--ouput=out"], "--ouput=out; did you mean '--output'"),
 ])
 def test_a_mistyped_word_of_the_command_line(

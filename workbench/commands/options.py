@@ -6,6 +6,7 @@ Only argparse is imported, so that help and mistakes in options need no waiting.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
@@ -27,7 +28,10 @@ class _Parser(argparse.ArgumentParser):
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
         """Refuse unknown long options first, so that no other error hides them."""
-        for text in [] if self._subparsers or args is None else takewhile("--".__ne__, args):
+        # Behind a command, its own parser checks.
+        is_own = (lambda text: text.startswith("-")) if self._subparsers else "--".__ne__
+        args = sys.argv[1:] if args is None else args
+        for text in takewhile(is_own, args):
             name = text.partition("=")[0]
             if name.startswith("--") and not any(known.startswith(name) for known in self._option_string_actions):
                 self.error(f"unrecognized argument: {text}{_near(name, self._option_string_actions)}")
