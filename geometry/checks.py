@@ -14,13 +14,17 @@ from contextlib import contextmanager
 
 from geometry.assumed import FILMS
 from geometry.dimension import SAME_LENGTH, SHAPES, Dimension, dimension_text, millimetres
+from geometry.features import Feature
 from geometry.limits import CLOSED, FULL_DISC, FURTHER_CAVITY
-from geometry.measure import ABOUT_AXIS, Measure
+from geometry.measure import ABOUT_AXIS, Axisymmetric, Measure
 from geometry.names import ROLES, TRANSDUCER, VACUUM, region_names
 from geometry.parts import Electrodes, Layer, Ports, State, discs, further_cavities, largest_shape, port_axis
 from geometry.profile import Outline, Profile
 from workbench.files.errors import InputError, choose
 from workbench.files.names import check_name, check_title
+
+#: Largest taper over the thickness of a disc: squares of a twentieth, on either side of the mean, are left out.
+TAPER = 0.1
 
 
 @contextmanager
@@ -109,6 +113,21 @@ def check_shapes(layers: Sequence[Layer], file: str) -> None:
                 raise InputError(file, place, shown, "walls that stay apart and within the layer up to its top: there "
                                  f"is {millimetres(room)} beside each, which they reach at "
                                  f"{_shown(name, math.atan(room / layer.thickness.value))}")
+
+
+def check_taper(layers: Sequence[Layer], features: Sequence[Feature], measure: Measure, file: str) -> None:
+    """Check that a taper is small and of a bare plane disc."""
+    for i, layer in enumerate(layers):
+        if not layer.taper:
+            continue
+        place, shown, largest = f"layers[{i}].taper", millimetres(layer.taper), TAPER * layer.thickness.value
+        if len(layers) > 1 or features or not isinstance(measure, Axisymmetric) or layer.inner_radius or any(
+                layer.shapes.values()) or layer.profile is not None:
+            raise InputError(file, place, shown, "none but in a chip of one full round disc with plane faces, without "
+                             "features")
+        if not 0.0 < layer.taper <= largest:
+            raise InputError(file, place, shown, f"a difference of thickness up to {millimetres(largest)}, a tenth of "
+                             "the thickness: the coupling of the orders is linear in it")
 
 
 def _beside_holes(layer: Layer) -> float:

@@ -14,7 +14,7 @@ from typing import Any
 
 from geometry import checks, plausible
 from geometry.chip_tables import read_band, read_layers, read_ports, read_states, read_text, read_well
-from geometry.dimension import Dimension
+from geometry.dimension import Dimension, millimetres
 from geometry.features import Feature, check_features, read_features
 from geometry.measure import ABOUT_AXIS, Measure
 from geometry.names import CAVITY, TRANSDUCER
@@ -86,6 +86,7 @@ class Chip:
         checks.check_states(self.states, self.layers, self.file, self.measure)
         check_operating_point(self.operating_point, self.band, self.file)
         check_features(self.features, self.layers, self.measure, self.file)
+        checks.check_taper(self.layers, self.features, self.measure, self.file)
         plausible.check_plausible(self.layers, self.band, self.dimensions(), self.states, self.unusual, self.file,
                                   measure=self.measure, is_open=self.is_open, features=self.features)
 
@@ -93,6 +94,12 @@ class Chip:
     def holes(self) -> tuple[Layer, ...]:
         """The layers with a hole, bottom to top; empty without a cavity."""
         return tuple(layer for layer in self.layers if layer.cavity_radius is not None)
+
+    @property
+    def not_round(self) -> tuple[str, ...]:
+        """The features and the taper in words."""
+        taper = self.transducer.taper
+        return (*map(str, self.features), *([f"taper of {millimetres(taper)} of {TRANSDUCER}"] if taper else []))
 
     @property
     def regions(self) -> tuple[str, ...]:

@@ -104,7 +104,8 @@ def _layer(layer: Layer, chip: Chip, folder: Path, *, with_bottom: bool) -> dict
     if layer.profile is not None:
         found["profile"] = _profile(layer.profile, folder)
     found |= {key: _length(size) for key, size in (
-        ("offset", layer.offset), ("cavity_offset", layer.cavity_offset), ("pitch", layer.pitch)) if size}
+        ("taper", layer.taper), ("offset", layer.offset), ("cavity_offset", layer.cavity_offset),
+        ("pitch", layer.pitch)) if size}
     found |= {"channels": layer.channels} if layer.channels != 1 else {}
     if layer.poled != "up":
         found["poled"] = layer.poled

@@ -84,7 +84,7 @@ def _read_layers(
             table.only([*_STRAIGHT_LAYER_KEYS, *_TRANSDUCER_KEYS] if role == TRANSDUCER else _STRAIGHT_LAYER_KEYS)
         else:
             _refuse_not_round(table)
-            table.only([*_LAYER_KEYS, *_TRANSDUCER_KEYS] if role == TRANSDUCER else _LAYER_KEYS)
+            table.only([*_LAYER_KEYS, *_TRANSDUCER_KEYS, "taper"] if role == TRANSDUCER else _LAYER_KEYS)
         for key in ("channels", "pitch"):
             if key in table and not {f"cavity_{across}", f"cavity_{doubled}"} & {*table}:
                 raise table.error(key, f"none without the cavity_{doubled} of the channels")
@@ -110,6 +110,7 @@ def _read_layers(
             bore=_optional_radius(table, f"inner_{across}", f"inner_{doubled}"),
             filling=_optional_text(table, "filling"),
             poled="down" if _either(table, "poled", "up", "down") == "down" else "up",
+            taper=table.quantity("taper", "length", 0.0),
             offset=table.quantity("offset", "length", 0.0),
             cavity_offset=table.quantity("cavity_offset", "length", 0.0),
             channels=table.whole("channels", 1, low=1, high=MOST_CHANNELS),

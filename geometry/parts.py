@@ -63,7 +63,8 @@ class Layer:
     ``cavity_radius`` is the radius of the cavity, ``bore`` that of another hole, which is empty or part of a further
     cavity with a ``filling`` (a material). ``z_bottom`` in metres; ``density`` (kg/m^3) replaces the material's own if
     the part was weighed. ``draft`` (rad), ``barrel``, ``bow`` and ``dome`` (m) are deviations from a disc with plane
-    faces and upright sides (`geometry.shapes`). ``profile`` is an outline other than a rectangle (`geometry.profile`);
+    faces and upright sides (`geometry.shapes`); ``taper`` (m) is the difference of a bare disc's thickness across its
+    diameter. ``profile`` is an outline other than a rectangle (`geometry.profile`);
     ``thickness`` is then the distance from its bottom to the layer above. A transducer is ``poled`` up or down along z.
     Every transducer but the lowest has electrodes that cover its faces; ``live`` is the face at the drive voltage. In a
     straight chip, ``offset`` (m) is the distance of the layer's middle to the right of the chip's, ``cavity_offset``
@@ -82,6 +83,7 @@ class Layer:
     barrel: Dimension | None = None
     bow: Dimension | None = None
     dome: Dimension | None = None
+    taper: float = 0.0
     profile: Profile | None = None
     bore: Dimension | None = None
     filling: str | None = None

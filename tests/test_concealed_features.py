@@ -182,7 +182,7 @@ def test_an_answer_is_judged_by_the_place_of_the_mass() -> None:
     def answer(distance: float | None, *named: str) -> Judged:
         said = {"verdict": "missing_physics", "effects": [{"name": name} for name in named]}
         place = {} if distance is None else {
-            "not_round": {"distance": distance, "mass": 1e-6, "named": True}}
+            "not_round": [{"distance": distance, "mass": 1e-6, "named": True}]}
         return judged("0001", truth, said | place)
 
     assert answer(2.1e-3).is_near
@@ -193,4 +193,4 @@ def test_an_answer_is_judged_by_the_place_of_the_mass() -> None:
     # A part that is not the verdict is not named.
     assert answer(None).not_round is None
     assert not judged("0001", {"detectability": 0.0, "effects": []},
-                      {"verdict": "no_mismatch", "effects": [], "not_round": {"distance": 2e-3, "mass": 1e-6}}).is_near
+                      {"verdict": "no_mismatch", "effects": [], "not_round": [{"distance": 2e-3, "mass": 1e-6, "named": False}]}).is_near

@@ -1,4 +1,4 @@
-"""A part beside the axis in a diagnosis: its orders by modes, the search for it, and its words."""
+"""A part beside the axis and a taper in a diagnosis: their orders, the search for them, and their words."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from workbench.campaign.campaign import read_campaign
 from workbench.diagnosis import appraisal, not_round
 from workbench.diagnosis.device import device_model
 from workbench.diagnosis.local_models import LocalModels
-from workbench.diagnosis.not_round import NULL, Joint, PartFound, can_be_located, located, robust
+from workbench.diagnosis.not_round import NULL, Joint, PartFound, TaperFound, can_be_located, located, robust
 from workbench.diagnosis.odds import Criteria
 from workbench.fem.operators import assemble
 from workbench.fem.patch import Patch
@@ -30,7 +30,7 @@ from workbench.simulation.features import (
     driven_displacements,
 )
 
-PART = PartFound(1.5e-3, 2e-6, 1e-3, 0.0, 50.0, 20.0, 31.0, 1.02, 128)
+PART = PartFound(50.0, 20.0, 31.0, 1.02, 128, 1.5e-3, 2e-6, 1e-3, 0.0)
 MASS = 2e-6
 
 
@@ -88,6 +88,21 @@ def test_derivatives_of_a_fit_are_those_of_differences(joint: tuple[Joint, Any])
         assert np.abs(slopes[:, i] - by_difference).max() <= 1e-3 * np.abs(by_difference).max()
 
 
+def test_derivatives_with_a_taper_are_those_of_differences(joint: tuple[Joint, Any]) -> None:
+    fit, x = joint
+    own = Joint.of_taper(fit.model, fit.likelihood, x)
+    search, z = fit.likelihood.search(NULL), np.array([0.004])
+    slopes = own.residuals(search, x, z)[0][1]
+    at, scale = np.concatenate([x[search.free], z]), np.concatenate([search.scale[search.free], [1e-3]])
+    for i in range(at.size):
+        step = 1e-3 * scale * (np.arange(at.size) == i)
+        above, below = (own.residuals(search, *not_round._split(x, search.free, at + sign * step))[0][0]
+                        for sign in (1.0, -1.0))
+        by_difference = (above - below) / (2e-3 * scale[i])
+        # The difference quotients of both are good for the square of their steps.
+        assert np.abs(slopes[:, i] - by_difference).max() <= 1e-3 * np.abs(by_difference).max()
+
+
 @pytest.mark.slow
 def test_a_part_is_found_at_its_place(trial: tuple[Path, dict[str, float]], monkeypatch: pytest.MonkeyPatch) -> None:
     """A coarse grid is enough where a part is strong but not heavy."""
@@ -96,7 +111,7 @@ def test_a_part_is_found_at_its_place(trial: tuple[Path, dict[str, float]], monk
     monkeypatch.setattr(not_round, "PROJECTED", 1)
     model = device_model(read_campaign(trial[0]))
     assert can_be_located(model)
-    found = located(LocalModels(model))
+    found = located(LocalModels(model), model.stated)
     assert found.distance == pytest.approx(trial[1]["distance"], rel=0.02)
     assert found.mass == pytest.approx(trial[1]["mass"], rel=0.25)
     assert found.is_accepted(Criteria(), 1.2)
@@ -124,7 +139,7 @@ def test_a_search_ends_early_if_no_place_is_evident(
     monkeypatch.setattr(not_round, "Joint", SimpleNamespace(of=lambda *_: SimpleNamespace(optimum=optimum)))
     monkeypatch.setattr(not_round, "_gain_held_out", lambda *_: 0.0)
     monkeypatch.setattr(not_round, "_projected", projected_there)
-    assert located(models).gain == pytest.approx(gain)
+    assert located(models, models.model.stated).gain == pytest.approx(gain)
     assert len(went_on) == projected
 
 
@@ -142,7 +157,7 @@ def test_a_part_is_named_by_its_odds_its_residual_and_the_states_held_out(
 
 
 def test_a_part_is_the_headline_only_if_it_is_named() -> None:
-    assert "2 mg on the transducer, 1.50 mm from its axis, explains 99.9 % of the residual" in PART.in_words
+    assert "2 mg on the transducer, 1.50 mm from its axis and 1.00 mm wide, explains 99.9 % of the res" in PART.in_words
     assert "too little to name it" in PART.finding
     assert "31 to 1.02" in replace(PART, named=True).finding
 
@@ -151,9 +166,14 @@ def test_a_search_that_fails_is_not_tried(monkeypatch: pytest.MonkeyPatch) -> No
     def fails(*_: object) -> PartFound:
         raise OrdersNotConverged("too many orders matter")
 
+    taper = TaperFound(50.0, 20.0, 31.0, 2.0, 4, 20e-6)
     monkeypatch.setattr(appraisal, "located", fails)
+    monkeypatch.setattr(appraisal, "tapered", lambda *_: taper)
     monkeypatch.setattr(appraisal, "replace", lambda old, **new: SimpleNamespace(**{**vars(old), **new}))
-    diagnosis: Any = SimpleNamespace(found=SimpleNamespace(not_tried=()), not_round=None)
-    ended: Any = appraisal.with_part(diagnosis, LocalModels.__new__(LocalModels), no_progress)
-    assert ended.not_round is None
+    null = SimpleNamespace(hypothesis=NULL, explanation=SimpleNamespace(x=np.zeros(1)))
+    diagnosis: Any = SimpleNamespace(
+        found=SimpleNamespace(not_tried=(), final=[null]), campaign=SimpleNamespace(
+            fitted=[SimpleNamespace(data=1.0, noise=np.full(200, 1e-3))]), criteria=Criteria(most=1.0), decision=None)
+    ended: Any = appraisal.with_cause_not_round(diagnosis, LocalModels.__new__(LocalModels), no_progress)
+    assert ended.not_round == (taper,)
     assert ended.found.not_tried[0].reason == "too many orders matter"

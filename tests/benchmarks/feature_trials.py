@@ -68,7 +68,7 @@ def judged(number: str, truth: Mapping[str, Any], found: Mapping[str, Any]) -> J
     parameters = truth["effects"][0]["parameters"] if truth["effects"] else {}
     return Judged(number, truth["detectability"], parameters, found["verdict"],
                   tuple(e["name"] for e in found["effects"]),
-                  found["not_round"] if (found.get("not_round") or {}).get("named") else None)
+                  next((each for each in found.get("not_round") or () if each["named"] and "mass" in each), None))
 
 
 def _seen(one: Judged) -> bool:

@@ -21,8 +21,8 @@ def run_export(options: argparse.Namespace, console: Console) -> int:
     assembly, parts = export_solids(chip, output_folder(options, Outputs("export", solid_names(chip))))
     for path in (assembly, *parts.values()):
         print_line(str(path))
-    if chip.features:
-        say_finding(f"the solids are those of the layers, without {'; '.join(map(str, chip.features))}", console)
+    if chip.not_round:
+        say_finding(f"the solids are those of the layers, without {'; '.join(chip.not_round)}", console)
     return 0
 
 

@@ -8,6 +8,7 @@ from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from workbench.campaign.assignment import check_assignment
 from workbench.campaign.campaign import Campaign
@@ -19,7 +20,7 @@ from workbench.diagnosis.findings import Found, NotTried
 from workbench.diagnosis.inference import DiagnosisSearch
 from workbench.diagnosis.local_models import LocalModels
 from workbench.diagnosis.next_measurement import options
-from workbench.diagnosis.not_round import can_be_located, located
+from workbench.diagnosis.not_round import NotRoundFound, can_be_located, located, tapered
 from workbench.diagnosis.observed import NotObservable
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis
@@ -30,6 +31,9 @@ from workbench.jobs.progress import Progress, no_progress
 from workbench.jobs.workers import Workers, begin_workers, check_jobs
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.simulation.features import OrdersNotConverged
+from workbench.simulation.taper import TaperNotConverged
+
+Real = NDArray[np.float64]
 
 
 def diagnose(
@@ -91,31 +95,38 @@ def diagnose_model(
     diagnosis = appraised(model, results, criteria=search.criteria, started=started)
     description = remainder_description(model, diagnosis.found, diagnosis.decision, diagnosis.criteria)
     if diagnosis.verdict == UNEXPLAINED and not search.is_over and can_be_located(model):
-        diagnosis = with_part(diagnosis, search.models, progress)
+        diagnosis = with_cause_not_round(diagnosis, search.models, progress)
     return replace(diagnosis, description=description, seconds=time.perf_counter() - started)
 
 
-def with_part(diagnosis: Diagnosis, models: LocalModels, progress: Progress) -> Diagnosis:
-    """A diagnosis with the likeliest part beside the axis.
+def with_cause_not_round(diagnosis: Diagnosis, models: LocalModels, progress: Progress) -> Diagnosis:
+    """A diagnosis with the likeliest causes that are not round.
 
-    If the part is accepted, it is the verdict.
+    They are a taper and a part beside the axis. If one of them is accepted, it is the verdict; of both, the likelier
+    one.
     """
-    try:
-        found = located(models, progress)
-    except (NotConverged, OrdersNotConverged, ValueError, KeyboardInterrupt) as error:
-        return replace(diagnosis, found=replace(diagnosis.found, not_tried=(
-            *diagnosis.found.not_tried, NotTried("a part beside the axis", str(error) or "it was interrupted"))))
+    searches: dict[str, Callable[[LocalModels, Real, Progress], NotRoundFound]] = {
+        "a taper": tapered, "a part beside the axis": located}
+    null = next(each for each in diagnosis.found.final if not each.hypothesis.effects
+                and not each.hypothesis.is_outside)
+    found = list[NotRoundFound]()
+    for name, search in searches.items():
+        try:
+            found.append(search(models, null.explanation.x, progress))
+        except (NotConverged, OrdersNotConverged, TaperNotConverged, ValueError, KeyboardInterrupt) as error:
+            diagnosis = replace(diagnosis, found=replace(diagnosis.found, not_tried=(
+                *diagnosis.found.not_tried, NotTried(name, str(error) or "it was interrupted"))))
     states, criteria = diagnosis.campaign.fitted, diagnosis.criteria
     limit = min(criteria.limit(state.data * state.noise.size, float(np.sqrt(np.mean(state.noise**2))))
                 for state in states)
+    accepted = [each for each in found if each.is_accepted(criteria, limit)]
     decision = diagnosis.decision
-    if found.is_accepted(criteria, limit):
-        null = next(each for each in diagnosis.found.final if not each.hypothesis.effects
-                    and not each.hypothesis.is_outside)
-        found = replace(found, named=True)
-        decision = replace(decision, verdict=MISSING, rivals=(), alike=(), is_explained=found.after < limit,
+    if accepted:
+        likeliest = max(accepted, key=lambda each: each.gain)
+        found = [replace(each, named=each is likeliest) for each in found]
+        decision = replace(decision, verdict=MISSING, rivals=(), alike=(), is_explained=likeliest.after < limit,
                            chosen=evidence(models.model, null, diagnosis.found.stated, criteria))
-    return replace(diagnosis, decision=decision, not_round=found)
+    return replace(diagnosis, decision=decision, not_round=tuple(found))
 
 
 def appraised(model: Model, results: Found, *, criteria: Criteria | None = None, started: float) -> Diagnosis:

@@ -1,21 +1,25 @@
-"""Place and mass of a part beside the axis, from recordings.
+"""Causes that are not round, from recordings of a bare disc.
 
-The change of ln Z is the closed form of `patch_orders`. Known parameters and part are fitted together, from the optimum
-without a part and each of a grid of distances and masses. A part moves the resonances of all orders and a fit without
-it imitates this, so that the change has to follow the known parameters: modes follow them by their forms, and are made
-again where a search goes on. Errors have heavy tails, so that the bands that a wrong part misses do not decide.
+They are a part beside the axis and a taper of the thickness.
+
+The change of ln Z is the closed form of `patch_orders`, or that of the coupled orders of `simulation.taper`. It is
+fitted together with the known parameters, from the optimum without it: a part from each of a grid of distances and
+masses, a taper from a few sizes. Both move the resonances of all orders and a fit without them imitates this, so that
+the change has to follow the known parameters: modes follow them by their forms, and are made again where a search goes
+on. Errors have heavy tails, so that the bands that a wrong part misses do not decide.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.checks import TAPER
 from geometry.measure import Axisymmetric
 from geometry.names import TRANSDUCER
 from workbench.campaign.state import DeviceState, reduced_chi_square
@@ -29,11 +33,13 @@ from workbench.fem.patch import Patch
 from workbench.fitting.measurement_model import log_ratio, through_bench
 from workbench.fitting.search import FitSearch
 from workbench.jobs.progress import Progress, no_progress
-from workbench.model.problem import build
+from workbench.model.problem import Problem, build
 from workbench.search.constrained import minimise
+from workbench.simulation.taper import TaperedDisc
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Values = Mapping[str, complex]
 
 #: Diameter (m) of the patch of a part, that of a solder joint or a drop of glue, and the standard deviation of its
 #: logarithm.
@@ -64,29 +70,27 @@ MEDIAN = math.sqrt(2.0 * math.log(2.0))
 #: Steps of difference quotients: of known parameters in their scales, and of a part in its units.
 STEP, PART_STEP = 0.02, 1e-3
 
+#: Half of the taper over the thickness, from which a search begins: discs of 2 mm are parallel to 2 to 80 um.
+SHARES = (0.0005, 0.002, 0.006, 0.02)
+
 NULL = Hypothesis()
 
 
 @dataclass(frozen=True)
-class PartFound:
-    """A part on the upper face of a bare transducer.
+class NotRoundFound:
+    """A cause that is not round, from a search.
 
-    ``distance`` from the axis, ``diameter`` of its patch (m), ``mass`` (kg), and ``shift``, relative, of the
-    frequencies of other orders. ``gain`` is the fall of minus the log likelihood of errors with heavy tails,
-    ``held_out`` that of the states held out; ``before`` and ``after`` are reduced chi-squares of the fitted recordings,
-    and ``tried`` is the number of places and masses of the search. It is ``named`` if it is a verdict.
+    ``gain`` is the fall of minus the log likelihood of errors with heavy tails, ``held_out`` that of the states held
+    out; ``before`` and ``after`` are reduced chi-squares of the fitted recordings, and ``tried`` is the number of
+    starts of the search. It is ``named`` if it is a verdict.
     """
 
-    distance: float
-    mass: float
-    diameter: float
-    shift: float
     gain: float
     held_out: float
     before: float
     after: float
     tried: int
-    named: bool = False
+    named: bool = field(default=False, kw_only=True)
 
     @property
     def share(self) -> float:
@@ -96,30 +100,64 @@ class PartFound:
     def is_accepted(self, criteria: Criteria, limit: float) -> bool:
         """Whether it is named. Within `limit`, a reduced chi-square is one of noise.
 
-        It needs the odds of the criteria for one of the places and masses of the grid, in the states held out as well,
-        and leaves noise, or the share of the residual that the criteria allow an effect.
+        It needs the odds of the criteria for one of the starts, in the states held out as well, and leaves noise, or
+        the share of the residual that the criteria allow an effect.
         """
         return (self.gain > math.log(criteria.accepted * self.tried) and self.held_out >= 0.0
                 and (self.after < limit or self.share > criteria.most))
 
     @property
+    def cause(self) -> str:
+        """The cause in words."""
+        raise NotImplementedError
+
+    @property
     def in_words(self) -> str:
-        """The part in a sentence."""
-        return (f"{self._part} explains {100.0 * self.share:.3g} % of the residual: the device is not round")
+        """The cause in a sentence."""
+        return f"{self.cause} explains {100.0 * self.share:.3g} % of the residual: the device is not round"
 
     @property
     def finding(self) -> str:
-        """Its diameter and chi-square, or why it is not named."""
+        """Its chi-square, or why it is not named."""
         before_and_after = f"the reduced chi-square from {self.before:.3g} to {self.after:.3g}"
         if self.named:
-            return (f"The part covers {1e3 * self.diameter:.2f} mm. With it, known parameters change "
-                    f"{before_and_after}.")
-        return (f"The likeliest part beside the axis, {self._part} would change {before_and_after}: too little "
-                "to name it.")
+            return f"With {self.cause}, known parameters change {before_and_after}."
+        held_out = "" if self.held_out >= 0.0 else ", and the states held out contradict it"
+        return (f"The likeliest cause of its kind, {self.cause}, would change {before_and_after}, "
+                f"{100.0 * self.share:.2g} % of the residual: too little to name it{held_out}.")
+
+
+@dataclass(frozen=True)
+class PartFound(NotRoundFound):
+    """A part on the upper face of a bare transducer.
+
+    ``distance`` from the axis, ``diameter`` of its patch (m), ``mass`` (kg), and ``shift``, relative, of the
+    frequencies of other orders.
+    """
+
+    distance: float
+    mass: float
+    diameter: float
+    shift: float
 
     @property
-    def _part(self) -> str:
-        return f"a part of {1e6 * self.mass:.2g} mg on the transducer, {1e3 * self.distance:.2f} mm from its axis,"
+    def cause(self) -> str:
+        return (f"a part of {1e6 * self.mass:.2g} mg on the transducer, {1e3 * self.distance:.2f} mm from its axis and "
+                f"{1e3 * self.diameter:.2f} mm wide,")
+
+
+@dataclass(frozen=True)
+class TaperFound(NotRoundFound):
+    """A taper of a bare transducer.
+
+    ``taper`` (m) is the difference of its thickness across its diameter.
+    """
+
+    taper: float
+
+    @property
+    def cause(self) -> str:
+        return f"a taper of {1e6 * self.taper:.3g} um of the transducer across its diameter"
 
 
 def diameter_of(z: Real) -> float:
@@ -134,8 +172,10 @@ def can_be_located(model: Model) -> bool:
                and state.observation is None for state in (*states, *model.campaign.held_out))
 
 
-def located(models: LocalModels, progress: Progress = no_progress) -> PartFound:
+def located(models: LocalModels, x: Real, progress: Progress = no_progress) -> PartFound:
     """The likeliest part on the upper face of a bare transducer.
+
+    The search begins at x (p,), the optimum of the known parameters alone.
 
     Raises
     ------
@@ -143,14 +183,14 @@ def located(models: LocalModels, progress: Progress = no_progress) -> PartFound:
     """
     model = models.model
     reach = np.array([parameter.prior or 0.0 for parameter in model.parameters])
-    likelihood = models.near(NULL, model.stated, reach)
+    likelihood = models.near(NULL, x, reach)
     states = likelihood.states
     radius = float(states[0].chip.transducer.radius.value)
     distances = np.linspace(DIAMETER, radius - 0.6 * DIAMETER, DISTANCES)
     layer, material = states[0].chip.transducer, states[0].materials[TRANSDUCER]
     heaviest = HEAVIEST * float(np.real(material.density)) * math.pi * radius**2 * layer.thickness.value
     masses = np.geomspace(LIGHTEST, heaviest, 1 + math.ceil(PER_DECADE * math.log10(heaviest / LIGHTEST)))
-    null, without = robust(likelihood, model.stated)
+    null, without = robust(likelihood, x)
     joint = Joint.of(model, likelihood, null, distances, math.log(heaviest))
     ends = list[_End]()
     for k in range(DISTANCES):
@@ -170,9 +210,36 @@ def located(models: LocalModels, progress: Progress = no_progress) -> PartFound:
         final.append((own, near, _gain_held_out(models, null, own, near)))
     end, places, held_out = min(final, key=lambda each: each[0].cost)
     before = likelihood.data(NULL, null).log_ratio
-    return PartFound(float(np.interp(end.z[3], np.arange(places.size), places)), math.exp(float(end.z[0])),
-                     diameter_of(end.z), SHIFT * float(end.z[1]), without - end.cost,
-                     held_out, _reduced(states, before), end.reduced, tried)
+    return PartFound(without - end.cost, held_out, _reduced(states, before), end.reduced, tried,
+                     float(np.interp(end.z[3], np.arange(places.size), places)), math.exp(float(end.z[0])),
+                     diameter_of(end.z), SHIFT * float(end.z[1]))
+
+
+def tapered(models: LocalModels, x: Real, progress: Progress = no_progress) -> TaperFound:
+    """The likeliest taper of a bare transducer.
+
+    The search begins at x (p,), the optimum of the known parameters alone.
+
+    Raises
+    ------
+    NotConverged, TaperNotConverged : the orders of the device cannot be solved.
+    """
+    model = models.model
+    likelihood = models.near(NULL, x, np.array([each.prior or 0.0 for each in model.parameters]))
+    null, without = robust(likelihood, x)
+    thickness = float(likelihood.states[0].chip.transducer.thickness.value)
+    fit = Joint.of_taper(model, likelihood, null)
+    ends = list[_End]()
+    for k, share in enumerate(SHARES):
+        progress("a taper", 0.8 * k / len(SHARES))
+        ends.append(fit.optimum(null, np.array([share]), 1, moves=False))
+    end = min(ends, key=lambda each: each.cost)
+    progress("a taper", 0.8)
+    end = Joint.of_taper(model, likelihood, end.x).optimum(end.x, end.z, ROUNDS, moves=False)
+    before = likelihood.data(NULL, null).log_ratio
+    gain = _gain_in(models, null, end, lambda there: Joint.of_taper(models.model, there, end.x))
+    return TaperFound(without - end.cost, gain, _reduced(likelihood.states, before), end.reduced, len(ends),
+                      2.0 * float(end.z[0]) * thickness)
 
 
 def _projected(
@@ -193,6 +260,12 @@ def _projected(
 
 
 def _gain_held_out(models: LocalModels, null: Real, end: _End, distances: Real) -> float:
+    """The fall of the cost of states held out by a part."""
+    return _gain_in(models, null, end, lambda there: Joint.of(models.model, there, end.x, distances, math.inf,
+                                                              diameter_of(end.z)))
+
+
+def _gain_in(models: LocalModels, null: Real, end: _End, fit: Callable[[Likelihood], Joint]) -> float:
     """The fall of the cost of the states held out.
 
     The parameters are those of the fits. It is 0 without such states.
@@ -202,8 +275,7 @@ def _gain_held_out(models: LocalModels, null: Real, end: _End, distances: Real) 
     reach = np.zeros(null.size)
     without, there = (models.near(NULL, x, reach, held_out=True) for x in (null, end.x))
     before = without.data(NULL, null).log_ratio
-    joint = Joint.of(models.model, there, end.x, distances, math.inf, diameter_of(end.z))
-    after = [residual for residual, _ in joint.residuals(there.search(NULL), end.x, end.z)]
+    after = [residual for residual, _ in fit(there).residuals(there.search(NULL), end.x, end.z)]
     return (_heavy_tailed(before, _spreads(there.states, before))
             - _heavy_tailed(after, _spreads(there.states, after)))
 
@@ -256,14 +328,79 @@ def _heavy_tailed(residuals: Sequence[Complex], spreads: Sequence[float]) -> flo
 
 
 @dataclass(frozen=True, eq=False)
-class _StateOrders:
-    """The orders of a state, with their ``modes`` at some values.
-
-    The ``index`` is that among all recordings. The orders are those of patches of a ``diameter`` (m).
-    """
+class _State:
+    """A state of the campaign, of the ``index`` among all recordings."""
 
     state: DeviceState
     index: int
+
+    def values(self, model: Model, x: Real) -> dict[str, complex]:
+        """Values of the state's problem at x (p,)."""
+        return {**model.whole.recordings[self.index].problem.values, **model.whole.settings(x, self.index)[0]}
+
+    def pairs(self, model: Model, x: Real, free: NDArray[np.int64]) -> tuple[list[tuple[Values, Values]], Real]:
+        """Values below and above x (p,), and distances (k,).
+
+        They are those of each parameter `free` (k,).
+        """
+        scale, pairs = np.array([STEP * model.parameters[i].scale for i in free]), list[tuple[Values, Values]]()
+        for i, size in zip(free, scale, strict=True):
+            below, above = x.copy(), x.copy()
+            below[i], above[i] = x[i] - 0.5 * size, x[i] + 0.5 * size
+            pairs.append((self.values(model, below), self.values(model, above)))
+        return pairs, scale
+
+    def near(self, model: Model, x: Real) -> _State:
+        """A copy that is exact at x (p,)."""
+        return self
+
+    def change(self, model: Model, x: Real, z: Real, free: NDArray[np.int64]) -> tuple[Complex, Complex]:
+        """The change of ln Z (n,), and derivatives (n, k + z).
+
+        The convention is e^{+j w t}. The derivatives are those by the parameters `free` (k,) and by the cause (z,).
+        """
+        raise NotImplementedError
+
+
+def _posed(model: Model, state: DeviceState, x: Real) -> tuple[int, Problem]:
+    """The index of a state, and its problem at x (p,)."""
+    frequency = state.measured.frequency
+    k = next(k for k, recording in enumerate(model.whole.recordings) if recording.name == state.name)
+    values = {**model.whole.recordings[k].problem.values, **model.whole.settings(x, k)[0]}
+    lengths = {name: float(np.real(values[name])) for name in state.chip.dimensions() if name in values}
+    device = replace(state.device, chip=state.chip.with_dimensions(lengths)) if lengths else state.device
+    posed = build(device, accuracy=model.accuracy, band=(float(frequency[0]), float(frequency[-1])))
+    return k, replace(posed, values={name: values.get(name, value) for name, value in posed.values.items()})
+
+
+@dataclass(frozen=True, eq=False)
+class _StateTaper(_State):
+    """The coupled orders of a state's disc with a taper. The cause (1,) is the share of the thickness at its edge."""
+
+    disc: TaperedDisc
+
+    @classmethod
+    def of(cls, model: Model, state: DeviceState, x: Real) -> _StateTaper:
+        """The orders of a state, projected at x (p,)."""
+        index, posed = _posed(model, state, x)
+        return cls(state, index, TaperedDisc.of(posed, state.measured.frequency, max(SHARES)))
+
+    def change(self, model: Model, x: Real, z: Real, free: NDArray[np.int64]) -> tuple[Complex, Complex]:
+        frequency, values = self.state.measured.frequency, self.values(model, x)
+        plain, own = (self.disc.response(values, frequency, share) for share in (0.0, float(z[0])))
+        pairs, scale = self.pairs(model, x, free)
+        slopes = np.stack([*((plain.by_values(*pair) / plain.charge - own.by_values(*pair) / own.charge) / size
+                             for pair, size in zip(pairs, scale, strict=True)), -own.by_share / own.charge], axis=1)
+        return np.conj(-np.log(own.charge / plain.charge)), np.conj(slopes)
+
+
+@dataclass(frozen=True, eq=False)
+class _StateOrders(_State):
+    """The orders of a state for patches of a ``diameter`` (m).
+
+    Their ``modes`` are those at some values.
+    """
+
     modes: PatchModes
     diameter: float
 
@@ -273,37 +410,17 @@ class _StateOrders:
 
         The patches have that `diameter` (m).
         """
-        frequency = state.measured.frequency
-        k = next(k for k, recording in enumerate(model.whole.recordings) if recording.name == state.name)
-        values = {**model.whole.recordings[k].problem.values, **model.whole.settings(x, k)[0]}
-        lengths = {name: float(np.real(values[name])) for name in state.chip.dimensions() if name in values}
-        device = replace(state.device, chip=state.chip.with_dimensions(lengths)) if lengths else state.device
-        posed = build(device, accuracy=model.accuracy, band=(float(frequency[0]), float(frequency[-1])))
-        posed = replace(posed, values={name: values.get(name, value) for name, value in posed.values.items()})
+        index, posed = _posed(model, state, x)
         patches = [Patch(TRANSDUCER, True, float(each), 0.5 * diameter) for each in distances]
-        orders = PatchOrders.of(posed, patches, frequency)
-        return cls(state, k, orders.at(posed.values), diameter)
+        orders = PatchOrders.of(posed, patches, state.measured.frequency)
+        return cls(state, index, orders.at(posed.values), diameter)
 
     def near(self, model: Model, x: Real) -> _StateOrders:
         """The orders with their modes at x (p,)."""
         return replace(self, modes=self.modes.model.at(self.values(model, x)))
 
-    def values(self, model: Model, x: Real) -> dict[str, complex]:
-        """Values of the state's problem at x (p,)."""
-        return {**model.whole.recordings[self.index].problem.values, **model.whole.settings(x, self.index)[0]}
-
     def change(self, model: Model, x: Real, z: Real, free: NDArray[np.int64]) -> tuple[Complex, Complex]:
-        """The change of ln Z (n,), and derivatives (n, k + 4).
-
-        The convention is e^{+j w t}. The derivatives are those by the parameters `free` (k,) and by the part (see
-        :class:`Joint`).
-        """
-        scale = [STEP * model.parameters[i].scale for i in free]
-        pairs = []
-        for i, size in zip(free, scale, strict=True):
-            below, above = x.copy(), x.copy()
-            below[i], above[i] = x[i] - 0.5 * size, x[i] + 0.5 * size
-            pairs.append((self.values(model, below), self.values(model, above)))
+        pairs, scale = self.pairs(model, x, free)
         count = len(self.modes.model.patches)
         first = min(max(round(float(z[3])) - 1, 0), count - 3)
         inertia = np.asarray(-(2.0 * np.pi * self.state.measured.frequency) ** 2, dtype=np.complex128)
@@ -319,7 +436,7 @@ class _StateOrders:
         mass, diameter, place = ((changed(z + step)[0] - changed(z - step)[0]) / (2.0 * PART_STEP)
                                  for step in PART_STEP * np.eye(4)[[0, 2, 3]])
         by_part = np.stack([mass, SHIFT * slopes[:, -1], diameter, place], axis=1)
-        return np.conj(change), np.conj(np.concatenate([slopes[:, :-1] / np.array(scale), by_part], axis=1))
+        return np.conj(change), np.conj(np.concatenate([slopes[:, :-1] / scale, by_part], axis=1))
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -336,7 +453,7 @@ class _Point:
 
 @dataclass(frozen=True, eq=False)
 class _End:
-    """The end of a fit: parameters x (p,) and part z (4,)."""
+    """The end of a fit: parameters x (p,) and cause z."""
 
     x: Real
     z: Real
@@ -353,41 +470,60 @@ def _leading(ends: Sequence[_End], count: int) -> list[_End]:
     return chosen[:count]
 
 
+@dataclass(frozen=True)
+class _Range:
+    """The ends and the ``scale`` of a cause z.
+
+    ``normal`` are the places of those with a standard normal prior.
+    """
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    scale: tuple[float, ...]
+    normal: tuple[int, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """Known parameters and a part together.
+    """Known parameters and a cause that is not round together.
 
-    The part is z (4,): the log of the mass (kg), shift and log diameter in their standard deviations, and the place
-    between the patches of the ``orders``, an index. ``heaviest`` is the largest log mass.
+    A part is z (4,): the log of the mass (kg), shift and log diameter in their standard deviations, and the place
+    between the patches of the ``orders``, an index. A taper is z (1,). Its values are in the ``range``.
     """
 
     model: Model
     likelihood: Likelihood
-    orders: Sequence[_StateOrders]
-    heaviest: float
+    orders: Sequence[_State]
+    range: _Range
 
     @classmethod
     def of(cls, model: Model, likelihood: Likelihood, x: Real, distances: Real, heaviest: float,
            diameter: float = DIAMETER) -> Joint:
         """The fit of patches at `distances` (k,), projected at x (p,).
 
-        Distances from the axis and `diameter` are in m.
+        Distances from the axis and `diameter` are in m, `heaviest` is the largest log mass.
         """
-        return cls(model, likelihood, [_StateOrders.of(model, state, x, distances, diameter)
-                                       for state in likelihood.states], heaviest)
+        orders = [_StateOrders.of(model, state, x, distances, diameter) for state in likelihood.states]
+        return cls(model, likelihood, orders, _Range(
+            (math.log(0.1 * LIGHTEST), -4.0, -4.0, 0.0), (heaviest, 4.0, 4.0, distances.size - 1.0),
+            (0.3, 1.0, 1.0, 1.0), (1, 2)))
+
+    @classmethod
+    def of_taper(cls, model: Model, likelihood: Likelihood, x: Real) -> Joint:
+        """The fit of a taper, projected at x (p,)."""
+        orders = [_StateTaper.of(model, state, x) for state in likelihood.states]
+        return cls(model, likelihood, orders, _Range((0.0,), (0.5 * TAPER,), (min(SHARES),)))
 
     def optimum(self, x: Real, z: Real, rounds: int, *, moves: bool = True) -> _End:
-        """The optimum near x (p,) and z (4,).
+        """The optimum near x (p,) and z.
 
         Errors have heavy tails. In each round the modes are made again where it is, if it `moves` them.
         """
         search = self.likelihood.search(NULL)
         free, cost, known = search.free, math.inf, self
-        last = len(self.orders[0].modes.model.patches) - 1.0
-        low = np.concatenate([search.low[free], [math.log(0.1 * LIGHTEST), -4.0, -4.0, 0.0]])
-        high = np.concatenate([search.high[free], [self.heaviest, 4.0, 4.0, last]])
-        scale = np.concatenate([search.scale[free], [0.3, 1.0, 1.0, 1.0]])
-        conditions = [replace(each, slopes=np.concatenate([each.slopes, np.zeros((4, *each.slopes.shape[1:]))]))
+        low, high, scale = (np.concatenate([own[free], each]) for own, each in (
+            (search.low, self.range.low), (search.high, self.range.high), (search.scale, self.range.scale)))
+        conditions = [replace(each, slopes=np.concatenate([each.slopes, np.zeros((z.size, *each.slopes.shape[1:]))]))
                       for each in search.conditions(x, free)]
         for _ in range(rounds):
             if moves:
@@ -406,9 +542,9 @@ class Joint:
         return _End(x, z, cost, _reduced(self.likelihood.states, residuals))
 
     def residuals(self, search: FitSearch, x: Real, z: Real) -> list[tuple[Complex, Complex]]:
-        """The residual (n,) of every recording, and derivatives (n, k + 4).
+        """The residual (n,) of every recording, and derivatives (n, k + z).
 
-        It is ln(Z_model / Z_measured). Derivatives are those by the free parameters (k,) and by the part.
+        It is ln(Z_model / Z_measured). Derivatives are those by the free parameters (k,) and by the cause (z,).
         """
         data, found, free = self.likelihood.data(NULL, x), [], search.free
         for k, (each, rows) in enumerate(zip(self.orders, self.likelihood.places, strict=True)):
@@ -422,10 +558,10 @@ class Joint:
             seen, device, elements = through_bench(prediction.impedance * np.exp(change), omega, bench,
                                                    partial(getattr, prediction, "frequency_slope"))
             before = through_bench(prediction.impedance, omega, bench)[1]
-            columns = np.zeros((seen.size, free.size + 4), dtype=complex)
-            columns[:, :-4] = by_known * (device / before)[:, None]
-            columns[:, acting] += device[:, None] * slopes[:, :-4]
-            columns[:, -4:] = device[:, None] * slopes[:, -4:]
+            columns = np.zeros((seen.size, free.size + z.size), dtype=complex)
+            columns[:, :free.size] = by_known * (device / before)[:, None]
+            columns[:, acting] += device[:, None] * slopes[:, :len(acting)]
+            columns[:, free.size:] = device[:, None] * slopes[:, len(acting):]
             for place, i in enumerate(free):
                 key = self.model.parameters[i].parsed.key
                 if self.model.parameters[i].is_bench and by_known[:, place].any() and key in elements:
@@ -436,7 +572,7 @@ class Joint:
     def _point(self, search: FitSearch, x: Real, deviations: Sequence[Real], y: Real) -> _Point:
         """The residual at `y`, with its derivative.
 
-        The free parameters among x (p,) come first in `y`, the part last. The residual is in some `deviations` of the
+        The free parameters among x (p,) come first in `y`, the cause last. The residual is in some `deviations` of the
         points.
         """
         free = search.free
@@ -446,16 +582,16 @@ class Joint:
             scaled, slopes = residual / deviation, slopes / deviation[:, None]
             vector += [scaled.real, scaled.imag]
             rows += [slopes.real, slopes.imag]
-        count = free.size
-        prior = np.zeros((count + 2, count + 4))
+        count, normal = free.size, np.array(self.range.normal, dtype=int)
+        prior = np.zeros((count + normal.size, count + z.size))
         prior[:count, :count] = search.prior_rows[np.ix_(free, free)]
-        prior[count:, count + 1:count + 3] = np.eye(2)
-        return _Point(np.concatenate([*vector, search.prior_rows[free] @ (x - search.centre), z[1:3]]),
+        prior[count + np.arange(normal.size), count + normal] = 1.0
+        return _Point(np.concatenate([*vector, search.prior_rows[free] @ (x - search.centre), z[normal]]),
                       np.vstack([*rows, prior]))
 
 
 def _split(x: Real, free: NDArray[np.int64], y: Real) -> tuple[Real, Real]:
-    """Parameters (p,) with the `free` ones from y, and the part (4,)."""
+    """Parameters (p,) with the `free` ones from y, and the cause (z,)."""
     moved = x.copy()
-    moved[free] = y[:-4]
-    return moved, y[-4:]
+    moved[free] = y[:free.size]
+    return moved, y[free.size:]

@@ -22,7 +22,7 @@ from workbench.diagnosis.estimates import Established, FoundNumber, estimates
 from workbench.diagnosis.findings import Alternative, Found, Refitted
 from workbench.diagnosis.local_problem import Scales
 from workbench.diagnosis.next_measurement import Option, advice, next_measurement_text
-from workbench.diagnosis.not_round import PartFound
+from workbench.diagnosis.not_round import NotRoundFound
 from workbench.diagnosis.odds import Criteria, odds_text
 from workbench.diagnosis.posterior import Posterior, posterior_of
 from workbench.diagnosis.refit import CONSPICUOUS
@@ -64,7 +64,7 @@ class Diagnosis(Shown):
     parameters fitted, ``best`` with the ``established`` effects (the base itself if there are none). ``next_options``
     are measurements that tell the :attr:`alive` explanations apart, best first. ``provisional`` is the diagnosis so far
     by a search that was cut short; ``description`` that of a residual that nothing in the catalogue explains,
-    and ``not_round`` the likeliest part beside the axis where it was searched for; else they are None.
+    else None, and ``not_round`` the likeliest taper and part beside the axis where they were searched for.
     """
 
     model: Model
@@ -75,7 +75,7 @@ class Diagnosis(Shown):
     next_options: tuple[Option, ...] = ()
     provisional: Diagnosis | None = None
     description: Description | None = None
-    not_round: PartFound | None = None
+    not_round: tuple[NotRoundFound, ...] = ()
 
     @property
     def campaign(self) -> Campaign:
@@ -241,8 +241,9 @@ class Diagnosis(Shown):
         """The sentence to read first."""
         decision, left = self.decision, self.remainder.in_words
         match self.verdict:
-            case "missing_physics" if self.not_round is not None and self.not_round.named:
-                text = f"{self.not_round.in_words}. Nothing in the catalogue explains it"
+            case "missing_physics" if any(each.named for each in self.not_round):
+                text = next(f"{each.in_words}. Nothing in the catalogue explains it" for each in self.not_round
+                            if each.named)
             case "missing_physics" | "ambiguous":
                 alike, rivals = (" or ".join(plain_words(each.name) for each in those)
                                  for those in (decision.alike, decision.rivals))
@@ -312,8 +313,7 @@ class Diagnosis(Shown):
         if self.established and self.decision.is_explained:
             yield f"With this, {self.remainder.in_words}{f'; {self.place}' if self.suspect_region else ''}."
         yield from () if self.description is None else self.description.in_words
-        if self.not_round is not None:
-            yield self.not_round.finding
+        yield from (each.finding for each in self.not_round)
         for each in self.established:
             if not each.admissible:
                 yield (f"A parameter of {plain_words(each.effect.name)} is at the end of its admissible range, or "

@@ -417,9 +417,9 @@ def build(
 ) -> Problem:
     """The problem of a `device`, meshed for `band` (Hz). The default is the chip's band.
 
-    It is that of the round chip. A warning says that features of the chip file are left out, unless the caller adds
-    them (`with_features`). Boundary layers of the cavity's fluid are part of it, unless the device is `inviscid`.
-    `accuracy` is the relative accuracy of Z, or a discretisation; `skins`, `radii` and `levels` are as in
+    It is that of the round chip. A warning says that features and a taper of the chip file are left out, unless the
+    caller adds them (`with_features`). Boundary layers of the cavity's fluid are part of it, unless the device is
+    `inviscid`. `accuracy` is the relative accuracy of Z, or a discretisation; `skins`, `radii` and `levels` are as in
     `geometry.mesh_size.MeshSize`.
 
     Raises:
@@ -434,10 +434,10 @@ def build(
                radii=radii, levels=levels)
     size = fineness.mesh_size(device.section, device.materials, high, skins=skins, radii=radii,
                               levels=levels)
-    if device.chip.features and not with_features:
-        listed = "; ".join(map(str, device.chip.features))
+    if device.chip.not_round and not with_features:
+        listed = "; ".join(device.chip.not_round)
         warnings.warn(LeftOutWarning(f"{device.chip.file}: left out ({listed}): only the spectra of `simulate` and "
-                                     "`compare` have features"), stacklevel=2)
+                                     "`compare` have features and tapers"), stacklevel=2)
     for note in device.section.notes if isinstance(device.section, FreeSection) else ():
         warnings.warn(LeftOutWarning(f"{device.chip.file}: left out of {note}"), stacklevel=2)
     mesh = shaped(meshed(device.section, size), device.chip)

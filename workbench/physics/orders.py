@@ -73,7 +73,7 @@ class OfOrder(Term):
         if integral.variant:
             raise ModelError(f"{self.term!r} has lengths as parameters; orders of fields need a section as it is")
         products: dict[int, list[Product]] = {}
-        for each in (*integral.products, *_along(integral.products, self.term)):
+        for each in products_of_orders(integral):
             for power, row in by_order(each.row):
                 for further, column in by_order(each.column):
                     products.setdefault(power + further, []).append(Product(row, column, each.weight))
@@ -92,22 +92,28 @@ class OfOrder(Term):
         return self.term.fixed()
 
 
-def _along(products: tuple[Product, ...], term: Term) -> Iterator[Product]:
-    """The products of components along s beside those of an integral."""
-    weights: dict[tuple[str, str], float] = {}
-    for each in products:
+def products_of_orders(integral: Integral) -> tuple[Product, ...]:
+    """The products of an integral, with those of components along s.
+
+    Raises
+    ------
+    ModelError : the integral is not isotropic about the axis.
+    """
+    further, weights = list[Product](), dict[tuple[str, str], float]()
+    for each in integral.products:
         one, other = _ALONG.get(each.row), _ALONG.get(each.column)
         if one and other:
-            yield Product(one[0], other[0], each.weight * one[1] * other[1])
+            further.append(Product(one[0], other[0], each.weight * one[1] * other[1]))
         elif one or other:
-            raise ModelError(f"{term!r} has {each}, which is no scalar about the axis: it has no other orders")
+            raise ModelError(f"{integral!r} has {each}, which is no scalar about the axis: it has no other orders")
         pair = (each.row, each.column) if each.row <= each.column else (each.column, each.row)
         weights[pair] = weights.get(pair, 0.0) + each.weight
     if weights.get(("strain_rr", "strain_rr"), 0.0) != weights.get(("strain_tt", "strain_tt"), 0.0):
-        raise ModelError(f"{term!r} is not isotropic about the axis: it has no other orders")
+        raise ModelError(f"{integral!r} is not isotropic about the axis: it has no other orders")
     shear = sum(weights.get(pair, 0.0) * weight for pair, weight in _SHEAR.items())
     if shear:
-        yield Product("strain_rs", "strain_rs", shear)
+        further.append(Product("strain_rs", "strain_rs", shear))
+    return (*integral.products, *further)
 
 
 @dataclass(frozen=True)

@@ -252,7 +252,8 @@ def diagnosis_record(found: Diagnosis) -> dict[str, Any]:
         "location": [each.record for each in found.location],
         # None if every state is explained.
         "unexplained": None if found.description is None else asdict(found.description),
-        "not_round": None if found.not_round is None else {**asdict(found.not_round), "share": found.not_round.share},
+        # Empty if they were not searched for.
+        "not_round": [{"cause": each.cause, **asdict(each), "share": each.share} for each in found.not_round],
         **{key: {state.name: of[state.name] for state in states[:count]}
            for key, of in (("before", before), ("known_parameters_only", alone), ("after", after))},
         "held_out": {state.name: {"before": alone[state.name], "after": after[state.name],

@@ -62,6 +62,7 @@ from workbench.simulation.solved_spectrum import (
     solution_near,
     undamped,
 )
+from workbench.simulation.taper import spectrum_with_taper
 from workbench.simulation.warm import WarmState, WarmUp
 
 if TYPE_CHECKING:
@@ -245,9 +246,10 @@ def simulate(
     at, drive, lap = at if at is None or isinstance(at, str) else float(at), wired(drive, chip), Laps()
     device = fill(chip, state, registry := _assuming(registry, assumed_losses, inviscid))
     _check_relative_error(relative_error, source="simulate")
-    if chip.features and full:
-        raise InputError(chip.file, "features", f"{len(chip.features)} in a spectrum of full solves", "reduced models "
-                         "for a chip with features (without --full): they couple the orders of its fields")
+    if chip.not_round and full:
+        raise InputError(chip.file, "features" if chip.features else "taper", f"{'; '.join(chip.not_round)}, in a "
+                         "spectrum of full solves", "reduced models for a chip that is not round (without --full): "
+                         "they couple the orders of its fields")
     frequencies = frequency_grid(band_of(chip, band), points, source="simulate")
     progress("mesh", 0.0)
     span, of_mesh, energy = (float(frequencies[0]), float(frequencies[-1])), None, None
@@ -269,6 +271,10 @@ def simulate(
     if chip.features:
         found, more = spectrum_with(chip, parts, problem, found, progress)
         lap("features")
+    if chip.transducer.taper:
+        found, tapered = spectrum_with_taper(chip, problem, found, progress)
+        more = (*more, tapered)
+        lap("taper")
     on_spectrum(spectrum := _spectrum_of(found, device, of_mesh))
     merit, reason = measured_figures(spectrum, plate_of(chip, device.materials))
     operating = operating_point(at, chip.operating_point, merit, 0.5 * sum(span), energy, drive, source="simulate")
