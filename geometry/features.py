@@ -36,7 +36,9 @@ _KEYS = ("kind", "layer", "face", "distance", "angle", "diameter", "mass", "stif
 
 @dataclass(frozen=True)
 class Feature:
-    """A rigid part on a round patch of a layer's plane face, or a round gap in its electrode.
+    """A rigid part on a round patch, or a gap.
+
+    The part is on a plane face of a layer, the gap in its electrode.
 
     ``distance`` (m) is that of the patch's centre from the axis, ``angle`` (rad) its place around the axis,
     ``diameter`` (m) that of the patch. A ``mass`` is in kg. A spring to a fixed point has a ``stiffness`` (N/m), equal
@@ -134,7 +136,9 @@ def check_features(
 def _check_place(
     feature: Feature, layers: Sequence[Layer], electrodes: Electrodes, file: str, field: str
 ) -> None:
-    """Check that a part is on a free plane face, and a gap in an electrode."""
+    """Check that a part is on a free plane face.
+
+    A gap is in an electrode."""
     index = next(i for i, layer in enumerate(layers) if layer.region == feature.region)
     layer, beside = layers[index], index + (1 if feature.face == "top" else -1)
     neighbour = layers[beside] if 0 <= beside < len(layers) else None

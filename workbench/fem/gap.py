@@ -27,16 +27,17 @@ from workbench.fem.patch import Patch
 
 Real = NDArray[np.float64]
 
-#: Largest l of the functions.
-DEGREE = 3
+#: Largest l of the functions. The change of the charge by a gap as wide as a shear wave is off by 0.4 % or less, with 3
+#: by 3 %. Below a fifth of the wavelength 1 is enough.
+DEGREE = 4
 
 #: Unit of the potentials times the radius of the patch (V m): charges over them are about as large as displacements
 #: over forces (in SI units) of a ceramic. Doubled, sums of a part and a gap have other errors, within their tolerance.
 UNIT = 0.03
 
-#: Distances of further lines of nodes on both sides of the rim and below the face, over its radius. Lines that are too
+#: Distances of further lines of nodes on both sides of the edge and below the face, over its radius. Lines that are too
 #: close for the section are left out, but not the first ones.
-RIMS = (0.3, 0.1)
+BESIDE_EDGE = (0.3, 0.1)
 
 #: Points of the Gauss rule along a circle in the patch, beside a point for each wave.
 AROUND = 24
@@ -44,7 +45,10 @@ AROUND = 24
 
 @dataclass(frozen=True)
 class Gap(Patch):
-    """A gap in the electrode on the patch, with functions up to a ``degree``."""
+    """A gap in the electrode on the patch.
+
+    Its functions have l up to a ``degree``.
+    """
 
     degree: int = DEGREE
 
@@ -54,9 +58,12 @@ class Gap(Patch):
         return [(degree, wave, is_sine) for is_sine in (False, True) for degree in range(1, self.degree + 1)
                 for wave in range(degree) if (degree - wave) % 2 and (wave or not is_sine)]
 
-    def rims(self, least: float) -> list[float]:
-        """Radii (m) of further lines of nodes about the rim, at `least` (m) from it."""
-        ends = [1.0 + sign * share for share in RIMS if share * self.radius > least for sign in (-1.0, 1.0)]
+    def edges(self, least: float) -> list[float]:
+        """Radii (m) of further lines of nodes about the edge.
+
+        They are more than `least` (m) away from it.
+        """
+        ends = [1.0 + sign * share for share in BESIDE_EDGE if share * self.radius > least for sign in (-1.0, 1.0)]
         return sorted({abs(self.distance + side * end * self.radius) for side in (-1.0, 1.0) for end in ends} - {0.0})
 
     def potentials(self, radii: Real, order: int) -> Real:
@@ -82,7 +89,10 @@ class Gap(Patch):
 
 
 def electrode_dofs(operators: FullOperators, gap: Gap) -> tuple[NDArray[np.int64], Real]:
-    """The dofs (n,) on the gap's circles in the electrode, and their radii (n,) in m."""
+    """The dofs (n,) of the electrode on the circles of a gap.
+
+    Their radii (n,) in m follow.
+    """
     mesh = operators.mesh
     heights = mesh.mesh.p[1, mesh.mesh.t[:, mesh.mesh.subdomains[gap.region]]]
     face = heights.max() if gap.is_upper else heights.min()

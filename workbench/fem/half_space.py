@@ -61,13 +61,14 @@ class HalfSpace:
         apart = points[:, None] - points
         # The mean over the directions of plane waves, of both functions and the shift of their centres.
         turned, signs = empty._waves * empty._angles + 0.5 * np.pi * empty.is_odd, np.where(empty._waves % 2, -1.0, 1.0)
-        products = 0.0
+        products = np.zeros((*apart.shape, empty._numbers.size))
         for other, sign in ((-1, signs[:, None] * signs), (1, signs[:, None])):
             wave = empty._waves[:, None] + other * empty._waves
             angular = np.cos(wave * np.angle(apart) - turned[:, None] - other * turned)
             products = products + 0.5 * (sign * angular)[:, :, None] * jv(
                 wave[:, :, None], np.abs(apart)[:, :, None] * empty._numbers)
-        return replace(empty, total=empty._integrated(products) + empty._beyond(products[:, :, -1]))
+        total: Real = empty._integrated(products) + empty._beyond(products[:, :, -1])
+        return replace(empty, total=total)
 
     def order(self, order: int) -> Real:
         """The compliances (2, k, k) of one order, at equal angles."""
@@ -84,7 +85,10 @@ class HalfSpace:
 
     @cached_property
     def _rows(self) -> list[tuple[Patch, float, int, int, bool]]:
-        """Patch, angle and function of every row; a rigid patch has the degree 0."""
+        """Patch, angle and function of every row.
+
+        A rigid patch has the degree 0.
+        """
         return [(patch, angle, *function) for patch, angle in zip(self.patches, self.angles, strict=True)
                 for function in (patch.functions if isinstance(patch, Gap) else [(0, 0, False)])]
 
@@ -144,9 +148,10 @@ class HalfSpace:
 
 
 def order_factors(order: int, angles: Real, is_odd: NDArray[np.bool_]) -> Real:
-    """Factors (k, k) of the compliances of an order, by the angles (k,).
+    """Factors (k, k) of the compliances of an order.
 
-    Fields of the other parity, ``is_odd`` (k,), vary with sin(m t) where the others vary with cos(m t).
+    They depend on the angles (k,). Fields of the other parity, ``is_odd`` (k,), vary with sin(m t) where the others
+    vary with cos(m t).
     """
     turn = order * (angles[:, None] - angles)
     return np.where(is_odd[:, None] == is_odd, np.cos(turn), np.where(is_odd, 1.0, -1.0) * np.sin(turn))

@@ -105,7 +105,10 @@ class FullOperators(Brief):
         return self.size - self.prescribed
 
     def prescribing(self, dofs: NDArray[np.int64]) -> FullOperators:
-        """A copy whose potentials at mesh dofs (n,) are unknowns with given values, before the voltage."""
+        """A copy with given potentials at mesh dofs (n,).
+
+        They are unknowns before the voltage.
+        """
         rows = self.numbering["phi"].copy()
         rows[rows == self.size - 1] += dofs.size
         rows[dofs] = self.size - 1 + np.arange(dofs.size)

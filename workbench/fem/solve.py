@@ -275,7 +275,9 @@ class System:
         return self.operators.split(np.asarray(sum(factor * constants for factor, constants in moved if factor)))
 
     def factored(self, frequency: float) -> tuple[Complex, Factor]:
-        """The electrode's column (size,) of A(w), and the factorised part of the free unknowns.
+        """The electrode's column (size,) of A(w), and a factorisation.
+
+        It is that of the free unknowns.
 
         Raises:
             NotConverged: the matrix is singular.

@@ -153,7 +153,10 @@ def _projected(system: System, loads: Real, basis: Real, factors: Complex, error
 
 
 def _solved(factors: Complex, matrices: Complex, border: Complex, load: Real) -> Complex:
-    """Coordinates (r, n) under a load (r,) without dependence on frequency, less the `border` (g, r)."""
+    """Coordinates (r, n) under a load (r,) less a `border` (g, r).
+
+    The load does not depend on frequency.
+    """
     count, rank = len(matrices), load.size
     bordered = np.zeros((count + 1, rank + 1, rank + 1), dtype=complex)
     bordered[:count, :rank, :rank] = matrices

@@ -25,7 +25,7 @@ from geometry.chip import Chip
 from geometry.dimension import millimetres
 from geometry.features import Feature
 from geometry.panels import CLOSEST_RADII
-from workbench.fem.gap import RIMS, Gap, gap_forms, prescribing
+from workbench.fem.gap import BESIDE_EDGE, Gap, gap_forms, prescribing
 from workbench.fem.half_space import FITTED, HalfSpace, half_space_constants, order_factors
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.patch import ALONG, AWAY, UP, Patch, patch_forms
@@ -95,25 +95,25 @@ def part_of(feature: Feature) -> Part:
 
 
 def mesh_lines(chip: Chip, parts: Sequence[Part]) -> tuple[list[float], list[float]]:
-    """Radii and heights (m) of the lines of nodes that the features of a chip need.
+    """Radii and heights (m) of the lines of nodes for features.
 
     Raises
     ------
-    InputError : a gap is too small for the lines about its rim.
+    InputError : a gap is too small for the lines about its edge.
     """
     radii, levels, outer = set[float](), set[float](), max(layer.outer_radius for layer in chip.layers)
     for i, (feature, part) in enumerate(zip(chip.features, parts, strict=True)):
         radii |= set(part.patch.radii)
         if isinstance(part, ElectrodeGap):
-            least, rims = CLOSEST_RADII * outer, part.patch.rims(CLOSEST_RADII * outer)
-            if not rims:
-                smallest = 2.0 * least / RIMS[0]
+            least, edges = CLOSEST_RADII * outer, part.patch.edges(CLOSEST_RADII * outer)
+            if not edges:
+                smallest = 2.0 * least / BESIDE_EDGE[0]
                 raise InputError(chip.file, f"features[{i}].diameter", millimetres(feature.diameter),
                                  f"above {millimetres(smallest)}: the mesh of a section with a radius of "
                                  f"{millimetres(outer)} has no finer lines")
-            radii |= set(rims)
+            radii |= set(edges)
             layer = next(layer for layer in chip.layers if layer.region == feature.region)
-            for share in RIMS:
+            for share in BESIDE_EDGE:
                 depth = min(share * part.patch.radius, 0.5 * layer.thickness.value)
                 levels.add(layer.z_top - depth if feature.face == "top" else layer.z_bottom + depth)
     return sorted(radius for radius in radii if radius < outer), sorted(levels)
@@ -173,7 +173,10 @@ def directions_of(patches: Sequence[Patch]) -> NDArray[np.int64]:
 
 
 def rows_of(patch: Patch, patches: Sequence[Patch]) -> NDArray[np.int64]:
-    """The directions of one of the `patches`, or the functions of a gap, that other patches move."""
+    """The directions of one of the `patches`, or its functions.
+
+    Those with the sine do not occur in a single gap.
+    """
     if isinstance(patch, Gap):
         return np.arange(sum(len(patches) > 1 or not is_sine for *_, is_sine in patch.functions))
     return np.array([AWAY, UP, ALONG] if len(patches) > 1 else [AWAY, UP])
@@ -185,7 +188,10 @@ def owners_of(patches: Sequence[Patch]) -> NDArray[np.int64]:
 
 
 def is_odd_of(patches: Sequence[Patch]) -> NDArray[np.bool_]:
-    """Whether the fields of each direction (k,) have the parity of those along the circumference."""
+    """Whether fields of each direction (k,) are odd.
+
+    They then have the parity of those along the circumference.
+    """
     return np.concatenate([np.array([is_sine for *_, is_sine in patch.functions])[rows_of(patch, patches)]
                            if isinstance(patch, Gap) else rows_of(patch, patches) == ALONG for patch in patches])
 
@@ -201,9 +207,9 @@ def driven_displacements(operators: FullOperators, parts: Sequence[Part], states
 def driven_on(
     posed: Problem, operators: FullOperators, parts: Sequence[Part], states: Complex, frequencies: Real
 ) -> list[Complex]:
-    """The mean displacements (3, n) of patches, or the charges of the functions (k, n) of gaps.
+    """The mean displacements (3, n) of patches, or charges of gaps.
 
-    They are those of order 0 in `states` (size, n) at frequencies (n,) in Hz, per V.
+    Charges (k, n) are by function. They are those of order 0 in `states` (size, n) at frequencies (n,) in Hz, per V.
     """
     own = prescribing(operators, [part.patch for part in parts if isinstance(part, ElectrodeGap)])
     system, held = System(own, posed.values), np.flatnonzero(own.numbering["phi"] >= operators.size - 1)
@@ -240,7 +246,8 @@ def compliance_of(
     OrdersNotConverged : too many orders matter.
     """
     directions, is_odd, owners = directions_of(patches), is_odd_of(patches), owners_of(patches)
-    orders, total, error = _Orders(posed, patches, frequencies, tolerance, keep), 0.0, 0.0
+    orders, error = _Orders(posed, patches, frequencies, tolerance, keep), 0.0
+    total: Complex = np.zeros((frequencies.size, owners.size, owners.size), dtype=complex)
     space = HalfSpace.of(patches, angles) if any(patch.distance for patch in patches) else None
     # The rows of the half-space; motions in several directions have equal ones.
     first = np.cumsum([0, *(len(patch.functions) if isinstance(patch, Gap) else 1 for patch in patches)])
@@ -280,7 +287,10 @@ def compliance_of(
 
 
 def _moved(sums: Sequence[Complex], some: NDArray[np.bool_]) -> float:
-    """The relative change of the compliance between some directions (k,) in the last sums."""
+    """The relative change of the compliance in the last sums.
+
+    It is that between some directions (k,).
+    """
     last, *before = [each[:, some][:, :, some] for each in reversed(sums)]
     size = np.linalg.norm(last, axis=(1, 2))
     return max((float((np.linalg.norm(last - each, axis=(1, 2)) / size).max()) for each in before), default=0.0)
@@ -296,7 +306,7 @@ def charge_change(parts: Sequence[Part], frequencies: Real, driven: Sequence[Com
 
 
 def forces_of(parts: Sequence[Part], frequencies: Real, driven: Sequence[Complex], total: Complex) -> Complex:
-    """The forces (n, k) of rigid `parts` on their patches, and the potentials of gaps.
+    """The forces (n, k) of rigid `parts`, and potentials of gaps.
 
     They are in N, or in units of `workbench.fem.gap`, at 1 V. `driven` are the mean displacements (3, n) in m at 1 V of
     the patch of each part, without the parts, and the charges of gaps. `total` is the compliance of the patches.
@@ -340,8 +350,8 @@ class _Orders:
         self, order: int, operators: FullOperators, *, is_torsion: bool = False
     ) -> tuple[Complex, float, Complex | None]:
         system = System(operators, {**self.posed.values, ORDER: float(order)})
-        forms = np.hstack([(gap_forms if isinstance(patch, Gap) else patch_forms)(operators, patch, order)[
-            :, rows_of(patch, self.patches)] for patch in self.patches])
+        forms = np.hstack([(gap_forms(operators, patch, order) if isinstance(patch, Gap) else patch_forms(
+            operators, patch, order))[:, rows_of(patch, self.patches)] for patch in self.patches])
         acting = forms.any(axis=0) & (is_odd_of(self.patches) == is_torsion if order == 0 else True)
         result = np.zeros((self.frequencies.size, acting.size, acting.size), dtype=complex)
         fields = np.zeros((operators.free, acting.size), dtype=complex)
