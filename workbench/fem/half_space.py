@@ -37,7 +37,7 @@ FITTED = 6
 #: the axis: a sixth of a period of the products.
 LARGEST, STEP = 100.0, 0.5
 
-#: The same for a gap. Its integrand falls with k^-2: the part of a total beyond is 6e-3, and it is added.
+#: Largest k times the radius of a gap. The integrand falls with k^-2: the part of a total beyond is 5e-3, and is added.
 LARGEST_OF_GAP = 200.0
 
 
