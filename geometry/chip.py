@@ -85,7 +85,7 @@ class Chip:
         checks.check_ports(self.ports, self.holes, self.file)
         checks.check_states(self.states, self.layers, self.file, self.measure)
         check_operating_point(self.operating_point, self.band, self.file)
-        check_features(self.features, self.layers, self.measure, self.file)
+        check_features(self.features, self.layers, self.electrodes, self.measure, self.file)
         checks.check_taper(self.layers, self.features, self.measure, self.file)
         plausible.check_plausible(self.layers, self.band, self.dimensions(), self.states, self.unusual, self.file,
                                   measure=self.measure, is_open=self.is_open, features=self.features)

@@ -1,6 +1,6 @@
 """Features of a round chip beside its axis.
 
-They are drops of solder or glue, wires, and point supports.
+They are drops of solder or glue, wires, point supports, and gaps in an electrode.
 """
 
 from __future__ import annotations
@@ -13,14 +13,19 @@ from typing import Literal
 
 from geometry.dimension import as_text, millimetres
 from geometry.measure import Axisymmetric, Measure
-from geometry.parts import Layer
+from geometry.names import TRANSDUCER
+from geometry.parts import Electrodes, Layer
 from workbench.files.errors import InputError, choose
 from workbench.files.quantities import format_quantity
 from workbench.files.tables import FileTable
 from workbench.files.toml import TomlEntry
 
 #: Kinds of features, with the key of the size of each and its dimension.
-KINDS: Mapping[str, tuple[str, str]] = {"mass": ("mass", "mass"), "spring": ("stiffness", "stiffness")}
+KINDS: Mapping[str, tuple[str, str]] = {
+    "mass": ("mass", "mass"), "spring": ("stiffness", "stiffness"), "gap": ("diameter", "length")}
+
+#: Keys of a part of each kind; other kinds have none of them.
+_OWN: Mapping[str, tuple[str, ...]] = {"mass": ("mass",), "spring": ("stiffness", "loss"), "gap": ()}
 
 #: Units of a chip file, by dimension.
 _UNITS: Mapping[str, tuple[str, ...]] = {
@@ -31,11 +36,13 @@ _KEYS = ("kind", "layer", "face", "distance", "angle", "diameter", "mass", "stif
 
 @dataclass(frozen=True)
 class Feature:
-    """A rigid part on a round patch of a layer's plane face.
+    """A rigid part on a round patch, or a gap.
+
+    The part is on a plane face of a layer, the gap in its electrode.
 
     ``distance`` (m) is that of the patch's centre from the axis, ``angle`` (rad) its place around the axis,
     ``diameter`` (m) that of the patch. A ``mass`` is in kg. A spring to a fixed point has a ``stiffness`` (N/m), equal
-    in all directions, with the share ``loss`` of it as imaginary part.
+    in all directions, with the share ``loss`` of it as imaginary part. A gap has only its diameter.
     """
 
     kind: str
@@ -50,7 +57,7 @@ class Feature:
 
     @property
     def size(self) -> str:
-        """The mass or the stiffness in words."""
+        """The mass, the stiffness or the diameter of a gap in words."""
         key, dimension = KINDS[self.kind]
         return as_text(getattr(self, key), dimension)
 
@@ -60,7 +67,8 @@ class Feature:
         return cmath.rect(self.distance, self.angle)
 
     def __str__(self) -> str:
-        return (f"{self.kind} of {self.size} on the {self.face} of {self.region}, {millimetres(self.distance)} from "
+        name = "gap in the electrode" if self.kind == "gap" else f"{self.kind} of {self.size}"
+        return (f"{name} on the {self.face} of {self.region}, {millimetres(self.distance)} from "
                 f"the axis at {math.degrees(self.angle):g} deg, {millimetres(self.diameter)} wide")
 
 
@@ -74,7 +82,7 @@ def _feature(table: FileTable) -> Feature:
     kind = table.required("kind", f"a kind of feature, {' or '.join(KINDS)}")
     choose(kind, KINDS, source=table.source, field=table.at("kind"))
     key, dimension = KINDS[kind]
-    for other in {each for each, _ in KINDS.values()} - {key} | ({"loss"} if kind == "mass" else set()):
+    for other in [each for keys in _OWN.values() for each in keys if each not in _OWN[kind]]:
         if other in table:
             raise table.error(other, f"none in a feature of the kind {kind!r}, which has a {key}")
     table.required(key, f"a {dimension} with its unit")
@@ -94,12 +102,14 @@ def _feature(table: FileTable) -> Feature:
     )
 
 
-def check_features(features: Sequence[Feature], layers: Sequence[Layer], measure: Measure, file: str) -> None:
+def check_features(
+    features: Sequence[Feature], layers: Sequence[Layer], electrodes: Electrodes, measure: Measure, file: str
+) -> None:
     """Check the sizes and places of features.
 
     Raises:
         InputError: a size that is no number above zero, a patch that is not on a free plane face of its layer, or that
-            overlaps another one, or features of a straight chip.
+            overlaps another one, a gap that is not in an electrode, or features of a straight chip.
     """
     if features and not isinstance(measure, Axisymmetric):
         raise InputError(file, "features", f"{len(features)} in a straight chip", "none: only a round chip has "
@@ -115,7 +125,7 @@ def check_features(features: Sequence[Feature], layers: Sequence[Layer], measure
             raise InputError(file, f"{field}.loss", feature.loss, "a share from 0 to below 1")
         if not math.isfinite(feature.angle):
             raise InputError(file, f"{field}.angle", feature.angle, "an angle")
-        _check_place(feature, layers, file, field)
+        _check_place(feature, layers, electrodes, file, field)
         for k, other in enumerate(features[:i]):
             apart, least = abs(feature.centre - other.centre), 0.5 * (feature.diameter + other.diameter)
             if (other.region, other.face) == (feature.region, feature.face) and apart < least:
@@ -123,15 +133,27 @@ def check_features(features: Sequence[Feature], layers: Sequence[Layer], measure
                                  f"at least {millimetres(least)}, so that the patches do not overlap")
 
 
-def _check_place(feature: Feature, layers: Sequence[Layer], file: str, field: str) -> None:
-    """Check that a patch is on a free plane face."""
+def _check_place(
+    feature: Feature, layers: Sequence[Layer], electrodes: Electrodes, file: str, field: str
+) -> None:
+    """Check that a part is on a free plane face.
+
+    A gap is in an electrode."""
     index = next(i for i, layer in enumerate(layers) if layer.region == feature.region)
     layer, beside = layers[index], index + (1 if feature.face == "top" else -1)
     neighbour = layers[beside] if 0 <= beside < len(layers) else None
     if shape := next((name for name in ("bow", "dome", "profile") if getattr(layer, name) is not None), ""):
         raise InputError(file, f"{field}.layer", feature.region, f"a layer with plane faces; this one has a {shape}")
     low, high = layer.inner_radius if neighbour is None else neighbour.outer_radius, layer.outer_radius
-    if neighbour is not None and high - low < feature.diameter:
+    where = f"the free {feature.face} of {feature.region!r}"
+    if feature.kind == "gap":
+        low, high = _electrode(feature, layer, electrodes, file, field)
+        where = f"the electrode on the {feature.face} of {feature.region!r}"
+        if high - low < (1.0 if low else 0.5) * feature.diameter:
+            raise InputError(file, f"{field}.diameter", millimetres(feature.diameter),
+                             f"at most {millimetres((high - low) * (1.0 if low else 2.0))}, so that the gap is in "
+                             f"{where}")
+    elif neighbour is not None and high - low < feature.diameter:
         part = "" if low >= high else f" up to {millimetres(low)} of {millimetres(high)}"
         raise InputError(file, f"{field}.face", feature.face, f"a face with {millimetres(feature.diameter)} free for "
                          f"the patch: {neighbour.region} covers the {feature.face} of {feature.region}{part}")
@@ -141,7 +163,20 @@ def _check_place(feature: Feature, layers: Sequence[Layer], file: str, field: st
     if not least <= feature.distance <= most:
         raise InputError(file, f"{field}.distance", millimetres(feature.distance),
                          f"{millimetres(least)} to {millimetres(most)}: the patch, {millimetres(feature.diameter)} "
-                         f"wide, lies on the free {feature.face} of {feature.region!r}")
+                         f"wide, lies on {where}")
+
+
+def _electrode(
+    feature: Feature, layer: Layer, electrodes: Electrodes, file: str, field: str
+) -> tuple[float, float]:
+    """The inner and outer radius (m) of the electrode of a gap."""
+    if layer.role != TRANSDUCER:
+        raise InputError(file, f"{field}.layer", feature.region, "a transducer, whose electrode has the gap",
+                         (TRANSDUCER,))
+    own = electrodes if layer.live is None else Electrodes(layer.live)
+    disc = own.live_disc if own.live == feature.face else own.ground_disc
+    return (layer.inner_radius if disc.inner_radius is None else disc.inner_radius.value,
+            layer.outer_radius if disc.radius is None else disc.radius.value)
 
 
 def feature_keys(feature: Feature) -> dict[str, TomlEntry]:

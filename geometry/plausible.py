@@ -245,7 +245,7 @@ def _stated(
         if state.particle_radius is not None:
             yield f"states.{state.name}.particle_radius", state.particle_radius, PARTICLE_RADIUS, "length"
     for i, feature in enumerate(features):
-        for name in (KINDS[feature.kind][0], "diameter"):
+        for name in dict.fromkeys((KINDS[feature.kind][0], "diameter")):
             usual, kind = FEATURES[name]
             yield f"features[{i}].{name}", getattr(feature, name), usual, kind
 

@@ -193,4 +193,5 @@ def test_an_answer_is_judged_by_the_place_of_the_mass() -> None:
     # A part that is not the verdict is not named.
     assert answer(None).not_round is None
     assert not judged("0001", {"detectability": 0.0, "effects": []},
-                      {"verdict": "no_mismatch", "effects": [], "not_round": [{"distance": 2e-3, "mass": 1e-6, "named": False}]}).is_near
+                      {"verdict": "no_mismatch", "effects": [],
+                       "not_round": [{"distance": 2e-3, "mass": 1e-6, "named": False}]}).is_near

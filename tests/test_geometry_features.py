@@ -29,6 +29,7 @@ angle = "120 deg"
 diameter = "2 mm"
 mass = "5 mg"
 """
+GAP = '[[features]]\nkind = "gap"\ndistance = "3 mm"\ndiameter = "2 mm"\n'
 WIRE = '[[features]]\nkind = "spring"\ndistance = "1 cm"\ndiameter = "500 um"\nstiffness = "2e4 N/m"\nloss = 0.1\n'
 
 
@@ -45,8 +46,10 @@ def with_features(disc: Path, text: str) -> Chip:
 
 
 def test_features_are_read_and_written(disc: Path) -> None:
-    chip = with_features(disc, SOLDER + WIRE)
-    solder, wire = chip.features
+    chip = with_features(disc, SOLDER + WIRE + GAP)
+    solder, wire, gap = chip.features
+    assert gap == Feature("gap", "transducer", "top", pytest.approx(3e-3), 2e-3)
+    assert str(gap).startswith("gap in the electrode on the top of transducer, 3 mm from")
     assert solder == Feature("mass", "transducer", "bottom", pytest.approx(9e-3), 2e-3,
                              pytest.approx(math.radians(120.0)), mass=pytest.approx(5e-6))
     assert (wire.region, wire.face, wire.distance, wire.stiffness, wire.loss) == (
@@ -78,6 +81,11 @@ def test_a_mistake_is_named(disc: Path, old: str, new: str, field: str, words: s
         with_features(disc, SOLDER.replace(old, new))
     assert (error.value.field, words in str(error.value)) == (field, True), str(error.value)
     assert error.value.value is not None or not error.value.nearest, str(error.value)
+
+
+def test_a_gap_has_only_a_diameter(disc: Path) -> None:
+    with pytest.raises(InputError, match=r"features\[0\].mass.*none in .* kind 'gap', which has a diameter"):
+        with_features(disc, GAP + 'mass = "1 mg"\n')
 
 
 def test_a_feature_is_lighter_than_its_layer(disc: Path) -> None:

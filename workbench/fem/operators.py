@@ -86,7 +86,8 @@ class FullOperators(Brief):
     ``places`` are keyed by the :attr:`~workbench.physics.term.Integral.domain` of an integral. ``numbering[component]``
     (scalar mesh dofs,) is the row of an unknown in the system, or -1 if the component does not exist or is fixed at
     zero; all points of the live electrode share the last row. ``shares[component]`` (scalar mesh dofs,) are the factors
-    between component and unknown, if some are not 1: those of an electrode in parts.
+    between component and unknown, if some are not 1: those of an electrode in parts. The last ``prescribed`` unknowns
+    have given values: potentials in gaps of the electrodes, and the voltage.
     """
 
     mesh: SectionMesh
@@ -96,6 +97,25 @@ class FullOperators(Brief):
     numbering: Mapping[str, NDArray[np.int64]]
     size: int
     shares: Mapping[str, Real] = field(default_factory=dict)
+    prescribed: int = 1
+
+    @property
+    def free(self) -> int:
+        """Number of unknowns without given values."""
+        return self.size - self.prescribed
+
+    def prescribing(self, dofs: NDArray[np.int64]) -> FullOperators:
+        """A copy with given potentials at mesh dofs (n,).
+
+        They are unknowns before the voltage.
+        """
+        rows = self.numbering["phi"].copy()
+        rows[rows == self.size - 1] += dofs.size
+        rows[dofs] = self.size - 1 + np.arange(dofs.size)
+        shares = {name: share.copy() for name, share in self.shares.items()}
+        shares.get("phi", np.ones(rows.size))[dofs] = 1.0
+        return replace(self, numbering={**self.numbering, "phi": rows}, size=self.size + dofs.size, shares=shares,
+                       prescribed=self.prescribed + dofs.size)
 
     def evaluate(
         self, place: Place, operators: Iterable[str], columns: NDArray[np.inexact]
@@ -286,8 +306,8 @@ class FullOperators(Brief):
 
     @cached_property
     def factorisation(self) -> Factorisation:
-        """The factorisation of all unknowns except the electrode's voltage."""
-        triangle = self.sparsity.triangle(np.ones(self.sparsity.keys.size, dtype=np.int8), self.size - 1)
+        """The factorisation of all free unknowns."""
+        triangle = self.sparsity.triangle(np.ones(self.sparsity.keys.size, dtype=np.int8), self.free)
         return factorisation(triangle)
 
     def _components(self, group: Iterable[Integral]) -> list[str]:

@@ -275,7 +275,9 @@ class System:
         return self.operators.split(np.asarray(sum(factor * constants for factor, constants in moved if factor)))
 
     def factored(self, frequency: float) -> tuple[Complex, Factor]:
-        """The electrode's column (size,) of A(w), and the factorised rest.
+        """The electrode's column (size,) of A(w), and a factorisation.
+
+        It is that of the free unknowns.
 
         Raises:
             NotConverged: the matrix is singular.
@@ -283,7 +285,8 @@ class System:
         entries, pattern, last = self.entries(frequency), self.operators.sparsity, self.operators.size - 1
         electrode = np.zeros(pattern.size, dtype=complex)
         electrode[pattern.rows[pattern.starts[last]:]] = entries[pattern.starts[last]:]
-        return electrode, factorise(pattern.triangle(entries, last), frequency, self.operators.factorisation)
+        free = pattern.triangle(entries, self.operators.free)
+        return electrode, factorise(free, frequency, self.operators.factorisation)
 
     def solve(self, frequency: float) -> tuple[Complex, float]:
         """The state (size,) at unit electrode voltage, and its scaled residual."""
@@ -362,12 +365,12 @@ class System:
 
 
 def krylov(factor: Factor, change: SplitMatrix, start: Complex, count: int) -> Complex:
-    """Vectors (size - 1, count) of a Krylov space, without its first.
+    """Vectors (free, count) of a Krylov space, without its first.
 
     The space is that of A_0^-1 `change`. A_0 is the factorised matrix, `start` (size,) the first vector. The others are
     orthonormal in the scaled unknowns.
     """
-    free = start.size - 1
+    free = factor.scale.size
     directions = np.empty((free, count), dtype=complex, order="F")
     vector = start
     for k in range(count):
@@ -375,7 +378,7 @@ def krylov(factor: Factor, change: SplitMatrix, start: Complex, count: int) -> C
         for _ in range(2):
             found = found - before @ (before.conj().T @ found)
         directions[:, k] = found / np.linalg.norm(found)
-        vector = np.append(factor.scale * directions[:, k], 0.0)
+        vector = np.append(factor.scale * directions[:, k], np.zeros(start.size - free))
     return np.asarray(factor.scale[:, None] * directions)
 
 

@@ -37,8 +37,11 @@ class LoadResponse:
     """Fields of a model under unit loads, over a band.
 
     There is no voltage. ``compliance`` (n, k, k) are the works l_i^T A^-1 l_j of the load i on the fields of the load
-    j. The fields are the real ``basis`` (size - 1, r) times ``coordinates`` (k, r, n). ``error`` is the largest
+    j. The free fields are the real ``basis`` (free, r) times ``coordinates`` (k, r, n). ``error`` is the largest
     relative error of the compliance at the last factorised frequency, before its vectors were added.
+
+    A load with values p at prescribed unknowns is that potential. Its fields contain p, and the work on it is the
+    charge -p^T A x.
     """
 
     compliance: Complex
@@ -47,14 +50,15 @@ class LoadResponse:
     error: float
 
     def fields(self, index: int) -> Complex:
-        """The fields (size - 1, k) at one frequency."""
+        """The free fields (free, k) at one frequency."""
         return np.asarray(self.basis @ self.coordinates[:, :, index].T)
 
 
 def response(system: System, loads: Real, frequencies: Real, tolerance: float) -> LoadResponse:
     """The response to `loads` (size, k) over a band.
 
-    The frequencies (n,) are in Hz, and the compliance has the relative `tolerance`. Frequencies are factorised where
+    The frequencies (n,) are in Hz, and the compliance has the relative `tolerance`. A load is a force on free
+    unknowns, or has the values of prescribed ones. Frequencies are factorised where
     the response changed most, until it was right there beforehand.
 
     Raises
@@ -63,21 +67,24 @@ def response(system: System, loads: Real, frequencies: Real, tolerance: float) -
     ResponseNotConverged : the error is above the tolerance after the last factorisation.
     """
     with one_thread():
-        return _response(system, loads[:-1], frequencies, tolerance)
+        return _response(system, np.vstack([loads[:-1], 0.0 * loads[-1:]]), frequencies, tolerance)
 
 
 def _response(system: System, loads: Real, frequencies: Real, tolerance: float) -> LoadResponse:
     factors = system.factors(frequencies)
     # The basis is orthonormal in the scaled unknowns of the first factorisation.
-    basis, scale = np.zeros((len(loads), 0)), np.ones((len(loads), 1))
+    free = system.operators.free
+    given, scale = np.vstack([np.zeros((free, loads.shape[1])), loads[free:]]), np.ones((free, 1))
+    forces, basis = loads[:free], np.zeros((free, 0))
     change = np.ones(frequencies.size)
     found, error, done = None, np.inf, list[int]()
     while len(done) < MOST:
         at = _next(frequencies, change, done)
         done.append(at)
         factor = system.factored(float(frequencies[at]))[1]
-        states = np.stack([factor.solve(load.astype(complex))[0] for load in loads.T], axis=1)
-        exact = loads.T @ states
+        images = system.matrix(float(frequencies[at])) @ given if given.any() else np.zeros(given.shape, dtype=complex)
+        states = np.stack([factor.solve(load)[0] for load in (forces - images[:free]).T], axis=1)
+        exact = (forces - images[:free]).T @ states - given.T @ images
         if frequencies.size == 1:
             # Its states are the response.
             scale = factor.scale[:, None]
@@ -86,7 +93,8 @@ def _response(system: System, loads: Real, frequencies: Real, tolerance: float) 
             error = float(np.abs(found.compliance[at] - exact).max() / np.abs(exact).max())
         vectors = [states]
         moved = system.change(float(frequencies[at]), float(frequencies[at]) * (1.0 + STEP))
-        vectors += [krylov(factor, moved, np.append(state, 0.0), DEPTH - 1) for state in states.T]
+        vectors += [krylov(factor, moved, np.append(state, own), DEPTH - 1)
+                    for state, own in zip(states.T, loads[free:].T, strict=True)]
         if found is None:
             scale = factor.scale[:, None]
         basis = np.hstack([basis, _outside(np.hstack(vectors) / scale, basis)])
@@ -123,21 +131,35 @@ def _outside(vectors: Complex, basis: Real) -> Real:
 
 
 def _projected(system: System, loads: Real, basis: Real, factors: Complex, error: float) -> LoadResponse:
-    """The response on a basis (size - 1, r)."""
-    operators = system.operators
-    whole = np.vstack([basis, np.zeros((1, basis.shape[1]))])
+    """The response on a basis (free, r)."""
+    operators, rank = system.operators, basis.shape[1]
+    # Prescribed values follow the basis.
+    given = np.flatnonzero(loads[operators.free:].any(axis=0))
+    whole = np.zeros((operators.size, rank + given.size))
+    whole[:operators.free, :rank], whole[operators.free:, rank:] = basis, loads[operators.free:, given]
     reduced = ReducedOperators(operators.integrals, operators.coefficients, operators.project(whole), operators.forms)
     groups = operators.coefficients.groups(np.ones(1), system.values)
     matrices = reduced.combinations(np.array([constants for _, constants in groups]))
-    inner = basis.T @ loads
-    coordinates = np.stack([_solved(factors, matrices, load) for load in inner.T])
-    return LoadResponse(np.einsum("ri,jrn->nij", inner, coordinates), basis, coordinates, error)
+    inner = basis.T @ loads[:operators.free]
+    borders = np.zeros((len(matrices), rank, loads.shape[1]), dtype=complex)
+    borders[:, :, given] = matrices[:, :rank, rank:]
+    coordinates = np.stack([_solved(factors, matrices[:, :rank, :rank], own, load)
+                            for own, load in zip(borders.transpose(2, 0, 1), inner.T, strict=True)])
+    compliance = np.einsum("ri,jrn->nij", inner, coordinates)
+    if given.size:
+        compliance -= np.einsum("gn,gri,jrn->nij", factors, borders, coordinates, optimize=True)
+        compliance[:, given[:, None], given] -= np.einsum("gn,gij->nij", factors, matrices[:, rank:, rank:])
+    return LoadResponse(compliance, basis, coordinates, error)
 
 
-def _solved(factors: Complex, matrices: Complex, load: Real) -> Complex:
-    """Coordinates (r, n) under a load (r,) without dependence on frequency."""
+def _solved(factors: Complex, matrices: Complex, border: Complex, load: Real) -> Complex:
+    """Coordinates (r, n) under a load (r,) less a `border` (g, r).
+
+    The load does not depend on frequency.
+    """
     count, rank = len(matrices), load.size
     bordered = np.zeros((count + 1, rank + 1, rank + 1), dtype=complex)
     bordered[:count, :rank, :rank] = matrices
+    bordered[:count, :rank, rank] = bordered[:count, rank, :rank] = border
     bordered[count, :rank, rank] = bordered[count, rank, :rank] = -load
     return solve_dense(np.vstack([factors, np.ones((1, factors.shape[1]))]), bordered).states[:-1]

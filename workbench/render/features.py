@@ -49,6 +49,9 @@ def _draw(axes: object, feature: Feature) -> None:
     assert isinstance(axes, Axes)
     x, y = 1e3 * feature.distance * np.array([np.cos(feature.angle), np.sin(feature.angle)])
     colour, radius = _COLOURS[feature.face], 0.5e3 * feature.diameter
-    axes.add_patch(Circle((x, y), radius, color=colour))
-    axes.annotate(f"{feature.size}\n{feature.region}", (x, y - radius), (0, -4), textcoords="offset points",
+    # A gap is an open circle.
+    is_gap = feature.kind == "gap"
+    axes.add_patch(Circle((x, y), radius, color=colour, fill=not is_gap, hatch="//" if is_gap else None))
+    size = f"gap, {feature.size}" if is_gap else feature.size
+    axes.annotate(f"{size}\n{feature.region}", (x, y - radius), (0, -4), textcoords="offset points",
                   ha="center", va="top", fontsize=9)

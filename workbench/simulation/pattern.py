@@ -34,12 +34,13 @@ from workbench.model.drive import Drive
 from workbench.model.problem import Problem
 from workbench.results.brief import Brief
 from workbench.simulation.features import (
-    RigidPart,
-    along_circumference,
+    Part,
+    charge_change,
     compliance_of,
-    directions_of,
-    driven_displacements,
+    driven_on,
     forces_of,
+    is_odd_of,
+    owners_of,
 )
 
 Real = NDArray[np.float64]
@@ -223,7 +224,7 @@ class CavityPattern(Brief):
 
 
 def cavity_pattern(
-    posed: Problem, solution: Solution, parts: Sequence[RigidPart], drive: Drive, *,
+    posed: Problem, solution: Solution, parts: Sequence[Part], drive: Drive, *,
     forces: ParticleForces | None = None, progress: Progress = no_progress,
 ) -> CavityPattern:
     """The pressure in the cavity of a chip with rigid `parts`.
@@ -242,22 +243,21 @@ def cavity_pattern(
     inside = mesh.nodes_of([CAVITY])
 
     def pressure(of: FullOperators, states: Complex) -> Complex:
-        return nodal_components(of, np.vstack([states, np.zeros((1, states.shape[1]))]), mesh, dofs)["p"][inside]
+        whole = np.vstack([states, np.zeros((of.prescribed, states.shape[1]))])
+        return nodal_components(of, whole, mesh, dofs)["p"][inside]
 
-    angles = np.array([part.angle for part in parts])
-    between = compliance_of(posed, [part.patch for part in parts], angles, solution.frequency, keep=pressure,
-                            progress=progress)
-    driven = driven_displacements(operators, parts, solution.states)
+    angles, patches = np.array([part.angle for part in parts]), [part.patch for part in parts]
+    between = compliance_of(posed, patches, angles, solution.frequency, keep=pressure, progress=progress)
+    driven = driven_on(posed, operators, parts, solution.states, solution.frequency)
     on_patches = forces_of(parts, solution.frequency, driven, between.total)[0]
-    change = on_patches @ np.concatenate([each[directions_of(len(parts)), 0] for each in driven])
+    change = charge_change(parts, solution.frequency, driven, between.total)
     voltage = drive.amplitude(solution.impedance * solution.charge / (solution.charge + change))[0]
-    is_along = along_circumference(len(parts))
-    at = np.repeat(angles, is_along.size // len(parts))
+    is_odd, at = is_odd_of(patches), angles[owners_of(patches)]
     cosines, sines = [], []
     for order, field in enumerate(between.fields):
         own, turned = field * on_patches, order * at
-        cosines.append((own * np.where(is_along, -np.sin(turned), np.cos(turned))).sum(axis=1))
-        sines.append((own * np.where(is_along, np.cos(turned), np.sin(turned))).sum(axis=1))
+        cosines.append((own * np.where(is_odd, -np.sin(turned), np.cos(turned))).sum(axis=1))
+        sines.append((own * np.where(is_odd, np.cos(turned), np.sin(turned))).sum(axis=1))
     cosines[0] = cosines[0] + pressure(operators, solution.states[:-1])[:, 0]
     both = np.stack([np.stack(each, axis=1) for each in (cosines, sines)])
     largest = np.abs(both).max(axis=(0, 1))

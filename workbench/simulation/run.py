@@ -45,7 +45,7 @@ from workbench.results.notebook import Shown, Summary
 from workbench.results.resonances import resonances_of
 from workbench.results.spectrum import Origin, Spectrum
 from workbench.simulation.energy import EnergySpectrum, energy_spectrum_of
-from workbench.simulation.features import part_of, spectrum_with
+from workbench.simulation.features import mesh_lines, part_of, spectrum_with
 from workbench.simulation.fixed_point import warmed
 from workbench.simulation.mesh_error import MeshErrorEstimate
 from workbench.simulation.mesh_error import estimate as mesh_error
@@ -254,8 +254,8 @@ def simulate(
     progress("mesh", 0.0)
     span, of_mesh, energy = (float(frequencies[0]), float(frequencies[-1])), None, None
     parts = [part_of(feature) for feature in chip.features]
-    radii = {radius for part in parts for radius in part.patch.radii}
-    problem = build(device, band=span, accuracy=accuracy, radii=sorted(radii), with_features=True)
+    radii, levels = mesh_lines(chip, parts)
+    problem = build(device, band=span, accuracy=accuracy, radii=radii, levels=levels, with_features=True)
     lap("mesh")
     system = System(assemble(problem.mesh, problem.terms), problem.values)
     lap("assembly")
