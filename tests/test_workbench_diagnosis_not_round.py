@@ -56,6 +56,7 @@ def test_orders_by_modes_are_the_change_by_a_part(joint: tuple[Joint, Any]) -> N
     """Against the orders of `simulation.features`, which are solved at every frequency."""
     fit, x = joint
     state = fit.orders[0]
+    assert isinstance(state, not_round._StateOrders)
     posed, frequency = state.modes.model.problem, state.modes.model.frequencies[::20]
     part = RigidPart(Patch("transducer", True, 1.6e-3, 0.5e-3), mass=MASS)
     operators = assemble(posed.mesh, posed.terms)
