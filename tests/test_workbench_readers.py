@@ -331,6 +331,24 @@ def test_active_points_and_units() -> None:
     assert codes(np.full(201, 50.0 + 0j), WIDE / 1e6) == ["frequency"]
 
 
+@pytest.mark.parametrize("impedance", [
+    bvd_impedance(WIDE, motional_resistance=5.9, motional_inductance=152e-6, motional_capacitance=168.6e-12,
+                  static_capacitance=792e-12),
+    # A weak resonance, and none.
+    bvd_impedance(WIDE, motional_resistance=590.0, motional_inductance=152e-5, motional_capacitance=16.86e-12,
+                  static_capacitance=792e-12),
+    1.0 / (2j * np.pi * WIDE * 1e-9) + 1.0,
+])
+def test_phases_in_radians_that_were_read_as_degrees(impedance: Any) -> None:
+    assert codes(impedance) == []
+    turned = np.abs(impedance) * np.exp(1j * np.radians(np.angle(impedance)))
+    (finding,) = examine(Spectrum(WIDE, turned))
+    assert finding.code == "radians"
+    assert "are the phases in radians?" in finding.message
+    # The top of a resonance in parallel: small phases belong to small changes of |Z|.
+    assert codes(50.0 / (1.0 + 2j * 0.2 * (WIDE - 1e6) / 1e6)) == []
+
+
 def test_correction_is_asked_for_and_noted(tmp_path: Path) -> None:
     path = tmp_path / "reversed.csv"
     write_spectrum(Spectrum(FREQUENCY, -IMPEDANCE, origin=Origin("measured")), path)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 PUT_IN_ORDER = "put in order"
 #: Findings on the spectrum itself, which are found anew after a correction.
 _EXAMINED = frozenset({"inverse_ratio", "negated", "active", "conjugated", "unsigned", "stretch", "magnitude",
-                       "frequency", "outlier", "spacing"})
+                       "frequency", "outlier", "spacing", "radians"})
 #: The setting of an origin that lists the points left out on request.
 LEFT_OUT = "left out"
 #: Largest relative difference of equal frequencies: digits lost in a unit. Doubled, nothing changes, since no analyser
