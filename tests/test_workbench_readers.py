@@ -284,6 +284,25 @@ def test_spreadsheet_copies_of_an_analyser_file(tmp_path: Path) -> None:
                                                delimiter="\t"))
 
 
+def test_spreadsheet_copies_of_the_workbench_s_own_file(tmp_path: Path) -> None:
+    """Semicolons or tabs with decimal points or commas, comments padded with empty cells."""
+    path = tmp_path / "own.csv"
+    origin = Origin("measured", instrument="E4990A", date="2026-03-01")
+    write_spectrum(Spectrum(FREQUENCY, IMPEDANCE, 0.01 * np.abs(IMPEDANCE), origin), path)
+    head, rows = (lines := path.read_text().splitlines())[:4], lines[4:]
+    assert head[-1].startswith("# rows"), lines
+    for sign in (";", "\t"):
+        for mark in (".", ","):
+            for padding in ("", 3 * sign):
+                copy = [line + padding for line in head] + [
+                    row.replace(".", "|").replace(",", sign).replace("|", mark) for row in rows]
+                path.write_text("\n".join(copy) + "\n")
+                reading = read_recording(path)
+                assert reading.findings == ()
+                assert reading.spectrum.origin.instrument == "E4990A"
+                np.testing.assert_array_equal(reading.spectrum.impedance, IMPEDANCE)
+
+
 def test_quoted_headings_and_byte_order_mark(tmp_path: Path) -> None:
     path = tmp_path / "quoted.csv"
     headings = b'\xef\xbb\xbf"frequency_hz", "z_real_ohm", "z_imag_ohm"\r\n'
