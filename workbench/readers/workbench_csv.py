@@ -29,7 +29,7 @@ def recognises_workbench_csv(text: RecordingText) -> bool:
 
 
 def _delimiter(header: str) -> str:
-    """The sign between the names of the columns; a comma if there is none."""
+    """The sign between the columns, by default a comma."""
     return next((sign for sign in _REWRITTEN if sign in header), ",")
 
 

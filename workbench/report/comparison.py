@@ -81,12 +81,12 @@ def likely_causes(
 
 
 def _plain_percent(comparison: Comparison) -> float:
-    """MAPE (%) of the worse of a capacitor and a constant |Z|, and the noise."""
+    """Noise and MAPE (%) of the worse of capacitor and constant."""
     return max(comparison.scaled_percent[1], comparison.constant_percent) + 100.0 * scatter(comparison.measured)
 
 
 def _level(comparison: Comparison) -> list[str]:
-    """The finding, if any, on a recording whose |Z| is off by a factor.
+    """The finding, if any, on |Z| off by a factor.
 
     The factor is larger than the distance of the recording from a plain capacitor and from a constant.
     """

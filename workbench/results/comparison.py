@@ -158,7 +158,7 @@ def _reduced_chi_square(measured: Spectrum, simulated: Spectrum) -> float | None
 
 
 def _scaled(ratio: NDArray[np.float64]) -> tuple[float, float]:
-    """The least mean of 100 |s ratio - 1| over factors s, and that factor.
+    """Least mean of 100 |s ratio - 1|, and its s.
 
     The best s is the median of 1 / ratio, weighted by ratio.
     """
