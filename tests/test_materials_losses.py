@@ -28,6 +28,7 @@ from materials import (
     save_fit,
     with_assumed_loss,
 )
+from materials.assumed import lossless_polymer
 from workbench.files.errors import InputError
 
 HEAD = 'title = "thing"\nsource = "somebody_2020"\nconditions = "1 MHz"\n'
@@ -279,6 +280,14 @@ def test_a_lossless_ceramic_has_the_loss_of_its_class() -> None:
     assert "soft (its entry does not state it)" in unstated
     for name in ("pla", "water", "pzt4/acevedo_2026_initial"):
         assert with_assumed_loss(Registry().load(name)) == (Registry().load(name), "")
+
+
+def test_a_polymer_without_a_loss_is_named() -> None:
+    for name in ("coc", "pdms"):
+        assert f"{Registry().load(name).name} is a polymer whose entry states no loss" in lossless_polymer(
+            Registry().load(name))
+    for name in ("petg", "soda_lime_glass/en572_2012", "silicon/wafer_100", "silicon/cubic_100_100", "water", "pzt5a"):
+        assert lossless_polymer(Registry().load(name)) == ""
 
 
 def test_losses_within_their_rounding_are_a_note_that_says_what_to_do() -> None:

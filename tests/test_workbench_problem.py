@@ -206,6 +206,14 @@ def test_a_passive_layer_is_said_and_is_not_driven(stack: Chip, registry: Regist
     assert any("a layer that is not on the live electrode" in text for text in sides)
 
 
+def test_a_polymer_without_a_loss_is_a_finding(stack: Chip, registry: Registry) -> None:
+    plastic = replace(stack, layers=tuple(replace(layer, material="coc") if layer.region == "layer" else layer
+                                          for layer in stack.layers))
+    (text,) = fill(plastic, None, registry).findings
+    assert text.startswith("coc/topas_6013 is a polymer whose entry states no loss")
+    assert "upper bounds" in text
+
+
 def fill_or_refusal(chip: Chip, registry: Registry) -> str:
     try:
         return str(fill(chip, None, registry).name)

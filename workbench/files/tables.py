@@ -124,7 +124,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _utf8(data: bytes, source: str) -> str:
-    """The text in UTF-8 of a file, without its mark, with plain line ends."""
+    """The text of a file, without its mark, with plain line ends."""
     expected = "text in UTF-8; save it as UTF-8 in the editor"
     encoding = next((name for mark, name in MARKS if data.startswith(mark)), "")
     if encoding:
