@@ -75,6 +75,6 @@ def lossless_polymer(material: Material) -> str:
     bulk, shear = complex(material.bulk_modulus).real, complex(material.shear_modulus).real
     if 9.0 * bulk * shear / (3.0 * bulk + shear) > STIFFEST_POLYMER:
         return ""
-    return (f"{material.name} is a polymer whose entry states no loss, and it is modelled without one: Q, the heights of "
-            "resonances and the energies at resonance are upper bounds. State a loss (q, loss_tangent or attenuation) "
-            "in an entry of your own, or fit it: `workbench fit polymer`")
+    return (f"{material.name} is a polymer whose entry states no loss, and it is modelled without one: Q, the heights "
+            "of resonances and the energies at resonance are upper bounds. State a loss (q, loss_tangent or "
+            "attenuation) in an entry of your own, or fit it: `workbench fit polymer`")
