@@ -367,6 +367,10 @@ def _load(
             near = tuple(each for each in error.nearest if each in known) or nearest_names(name, sorted(known))
             raise InputError(chip.file, f"material of {region}", name, error.expected, near) from error
         if temperature is not None and "temperature" in error.field:
+            material = registry.load(name, notes=[])
+            if not isinstance(material, Fluid):
+                raise InputError(chip.file, f"states.{state.name}.cavity", name, "a liquid or a gas in a state with a "
+                                 f"temperature; this is {_kind(material)}") from error
             field = f"states.{state.name}.temperature"
             raise InputError(chip.file, field, error.value, f"{error.expected}, by {name}") from error
         raise
