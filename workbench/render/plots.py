@@ -211,7 +211,7 @@ def logarithmic(axes: Axes) -> None:
     from matplotlib.ticker import LogFormatter
 
     class Plain(LogFormatter):
-        """The same labels as plain numbers: 50, and not 5 x 10^1."""
+        """Plain numbers instead of powers: 50 for 5 x 10^1."""
 
         def __call__(self, x: float, pos: int | None = None) -> str:
             return f"{x:g}" if super().__call__(x, pos) else ""
