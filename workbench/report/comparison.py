@@ -97,8 +97,8 @@ def _level(comparison: Comparison) -> list[str]:
     text = (f"|Z| of the simulation is {factor:.4g} times that of the recording, with a MAPE of {ours:.3g} % once the "
             "recording is scaled by it")
     if apart is None:
-        return [f"{text}. Likely causes: a probe or divider of another ratio, a wrong reference resistance, another "
-                "device or electrode than in the chip file"]
+        return [f"{text}. Likely causes: another permittivity of the ceramic or area of the electrode than in the chip "
+                "file, a probe or divider of another ratio, a wrong reference resistance, another device"]
     return [f"{text}: did you mean {apart[0]}? Values in {apart[0]} were probably read as ohm (or an admittance in "
             f"{apart[1]} as S). Mend the unit in the heading, or read with --columns MAP.toml"]
 
