@@ -18,7 +18,7 @@ from geometry.measure import ABOUT_AXIS, Measure, Straight
 from geometry.names import CAVITY, TRANSDUCER, role_of
 from geometry.parts import Layer, State
 from workbench.files.errors import InputError, choose
-from workbench.files.quantities import frequency_text
+from workbench.files.quantities import SOLID_DENSITIES, frequency_text
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ FILL_KEY, LENGTH_KEY = "fill", "length"
 #: Other quantities: K, Hz, kg/m^3.
 TEMPERATURE = Range(253.15, 423.15, "a chip in use")
 FREQUENCY = Range(1e3, 100e6, "a chip driven by a piezoelectric disc")
-DENSITY = Range(50.0, 23e3, "a solid")
+DENSITY = Range(*SOLID_DENSITIES, "a solid")
 
 #: Largest ratio of the ends of a band; largest number of half wavelengths across the transducer at its top, with 2000
 #: Hz m for one. Doubled, a lost decimal point in a band of 2 mm discs passes at 10.8 MHz.

@@ -10,6 +10,8 @@ the radial mode of a disc and dielectric loss tan delta at 1 kHz, both at small 
 as in the data sheets of SP-4 and SP-5A (Sparkler Ceramics) and of PIC255 (PI Ceramic: 80 and 0.020). They apply to
 every stiffness at constant field, c (1 - i / Q_m), and to the permittivities at constant strain, eps (1 + i tan delta),
 e^{-i w t}; the piezoelectric constants e stay real.
+
+A polymer without a loss stays without one, since no such classes exist; a finding names it.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from materials.kinds import Material, Piezoelectric
+from materials.kinds import IsotropicSolid, Material, Piezoelectric
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,10 @@ ASSUMED = {"hard": AssumedLoss(500.0, 0.004), "soft": AssumedLoss(75.0, 0.02)}
 
 #: The assumed class of a ceramic whose source does not state it.
 UNSTATED = "soft"
+
+#: Young's modulus (Pa) between polymers (PEEK 4 GPa, phenolic resin 8 GPa) and metals and glasses (lead 16 GPa,
+#: magnesium 45 GPa, glass 60 GPa and more).
+STIFFEST_POLYMER = 10e9
 
 
 def is_lossless(material: Material) -> bool:
@@ -57,3 +63,18 @@ def with_assumed_loss(material: Material) -> tuple[Material, str]:
         f"{material.name} states no loss; the assumed loss is that of a {named} ceramic, Q_m {loss.mechanical_q:g} "
         f"and tan delta {loss.dielectric_loss_tangent:g}. Heights and widths of resonances depend on it: state "
         "mechanical_q and dielectric_loss_tangent in an entry of your own, or fit the disc")
+
+
+def lossless_polymer(material: Material) -> str:
+    """The finding on a polymer whose source states no loss, or "".
+
+    Glasses, metals and crystals without a loss have none that matters in a chip.
+    """
+    if not isinstance(material, IsotropicSolid) or not material.shear_modulus or not is_lossless(material):
+        return ""
+    bulk, shear = complex(material.bulk_modulus).real, complex(material.shear_modulus).real
+    if 9.0 * bulk * shear / (3.0 * bulk + shear) > STIFFEST_POLYMER:
+        return ""
+    return (f"{material.name} is a polymer whose entry states no loss, and it is modelled without one: Q, the heights "
+            "of resonances and the energies at resonance are upper bounds. State a loss (q, loss_tangent or "
+            "attenuation) in an entry of your own, or fit it: `workbench fit polymer`")

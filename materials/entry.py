@@ -25,8 +25,8 @@ from materials.lines import with_line_number
 from materials.loss import WORDS, LossKind, attenuation_of_sound, loss_number
 from materials.temperature import parse_law
 from materials.value import RECORDING, Value, parse_value, source_of, unit_factor
-from workbench.files.errors import InputError
-from workbench.files.quantities import BARE
+from workbench.files.errors import InputError, choose
+from workbench.files.quantities import BARE, SOLID_DENSITIES
 from workbench.files.tables import FileTable, read_toml
 
 _Numbers = Mapping[str, complex]
@@ -177,7 +177,7 @@ _LOSS_KINDS = {
     "pressure": LossKind.MODULUS, "compliance": LossKind.COMPLIANCE, "permittivity": LossKind.COMPLIANCE,
     "piezoelectric charge": LossKind.COMPLIANCE, "speed": LossKind.WAVE_SPEED,
 }
-_HEAD = ("kind", "title", "source", "conditions", "note", "default", "temperature", "fit")
+_HEAD = ("kind", "title", "source", "conditions", "note", "default", "temperature", "fit", "unusual")
 
 #: The form of two wave speeds, each with a loss.
 _FOR_SHEAR = ("longitudinal_speed", "shear_speed")
@@ -360,6 +360,8 @@ def parse_entry(
         tolerances = _loss_tolerances(form, numbers, values)
         if set(_FOR_SHEAR) == set(form.dimensions):
             passivity.check_longitudinal_loss(converted, numbers, tolerances, file)
+    if kind.build is not Fluid:
+        _check_density(table, fields["density"])
     fit = parse_fit(content["fit"], density=fields["density"], source=file) if "fit" in table else None
     material = kind.build(name=name, source=reader.source, temperature=reader.temperature, values=values, fit=fit,
                           **fields)
@@ -369,6 +371,20 @@ def parse_entry(
         findings.append(doubts(material, values, () if form is None else form.dimensions))
     announce(findings, notes)
     return material
+
+
+def _check_density(table: FileTable, density: float) -> None:
+    """Check that a density (kg/m^3) is usual, or listed."""
+    unusual = table.texts("unusual", (), expected='a list such as ["density"]')
+    for name in unusual:
+        choose(name, ["density"], source=table.source, field="unusual")
+    low, high = SOLID_DENSITIES
+    # One that is not positive has an error of its own.
+    if low <= density <= high or unusual or not density > 0.0:
+        return
+    meant = (f"{density * factor:g} kg/m^3" for factor in (1e3, 1e-3) if low <= density * factor <= high)
+    raise InputError(table.source, "density", f"{density:g} kg/m^3", f"{low:g} to {high:g} kg/m^3, the usual range of "
+                     'a solid; if it is intended, write unusual = ["density"] in this entry', tuple(meant))
 
 
 def _converted(form: Form, numbers: _Numbers, kind_name: str, file: str) -> dict[str, complex]:

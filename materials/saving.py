@@ -23,6 +23,7 @@ from materials.versions import (
     withdrawal_file,
 )
 from workbench.files.errors import InputError
+from workbench.files.quantities import SOLID_DENSITIES
 from workbench.files.tables import parse_toml
 from workbench.files.toml import TomlEntry, toml_lines, toml_table
 
@@ -157,13 +158,15 @@ def entry_text(material: Material) -> str:
     missing = sorted(set(stated) - set(material.values))
     if fit is None or missing:
         raise ValueError(f"{material.name}: no fit, or no value of {missing}; materials.fitted makes both")
-    head = {
+    head: dict[str, TomlEntry] = {
         "kind": next(name for name, known in KINDS.items() if known is kind),
         "title": f"fitted to {', '.join(recording.path for recording in fit.recordings)}",
         "source": material.source,
         "conditions": _conditions(fit),
         **{key: text for key in kind.words if (text := getattr(material, key))},
     }
+    if not isinstance(material, Fluid) and not SOLID_DENSITIES[0] <= material.density <= SOLID_DENSITIES[1]:
+        head["unusual"] = ["density"]
     numbers = {name: _value_table(material.values[name], head) for name in stated}
     return "\n".join([*toml_lines(head), "", *toml_lines(numbers), "", *_fit_tables(fit)])
 
@@ -193,7 +196,7 @@ def _loss_is_stated(value: Value) -> bool:
     return complex(value.value).imag != 0.0 or value.loss_tolerance != 0.0 or any(end is not None for end in known)
 
 
-def _value_table(value: Value, head: Mapping[str, str]) -> dict[str, TomlEntry]:
+def _value_table(value: Value, head: Mapping[str, TomlEntry]) -> dict[str, TomlEntry]:
     number = complex(value.value)
     found: dict[str, TomlEntry] = {"value": number.real}
     if _loss_is_stated(value):

@@ -292,6 +292,30 @@ MISTAKES = {
 }
 
 
+def test_a_byte_order_mark_and_other_encodings(tmp_path: Path) -> None:
+    path = tmp_path / "chip.toml"
+    path.write_text(TEXT, encoding="utf-8-sig", newline="\r\n")
+    assert read_chip(path).layers == read(TEXT, tmp_path).layers
+    text = TEXT.replace('name = "test chip"', 'name = "Prüfling"')
+    line = text[:text.index("Prüf")].count("\n") + 1
+    for encoding, field, value in (
+            ("latin-1", f"line {line}", "byte 0xfc, 'ü' in Latin-1, which is no UTF-8"),
+            ("utf-16", "line 1", "text in UTF-16"), ("utf-32", "line 1", "text in UTF-32")):
+        path.write_text(text, encoding=encoding)
+        with pytest.raises(InputError, match="save it as UTF-8") as caught:
+            read_chip(path)
+        assert (caught.value.field, caught.value.value) == (field, value)
+
+
+@pytest.mark.parametrize(("line", "key"), [
+    ('band = ["1 MHz", "2 MHz"]\nband = ["1 MHz",\n "3 MHz"]', "'band'"), ('"a b" = 1\n"a b" = 2', "'\"a b\"'"),
+    ("electrodes.live = 1\nelectrodes.live = 2", "'electrodes.live'")])
+def test_a_key_twice_is_named(line: str, key: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        read(f"[chip]\n{line}\n", tmp_path)
+    assert f"the key {key} a second time (at line" in str(caught.value.value)
+
+
 @pytest.mark.parametrize("outline", [
     '["7.5 mm", "0 mm"], ["radius", "0 mm"], ["radius", "thickness"], ["7.5 mm", "thickness"]',
     '["bore", "0 mm"], ["radius", "0 mm"], ["radius", "thickness"], ["bore", "thickness"]'])

@@ -28,6 +28,7 @@ from materials import (
     save_fit,
     with_assumed_loss,
 )
+from materials.assumed import lossless_polymer
 from workbench.files.errors import InputError
 
 HEAD = 'title = "thing"\nsource = "somebody_2020"\nconditions = "1 MHz"\n'
@@ -279,6 +280,38 @@ def test_a_lossless_ceramic_has_the_loss_of_its_class() -> None:
     assert "soft (its entry does not state it)" in unstated
     for name in ("pla", "water", "pzt4/acevedo_2026_initial"):
         assert with_assumed_loss(Registry().load(name)) == (Registry().load(name), "")
+
+
+def test_a_polymer_without_a_loss_is_named() -> None:
+    for name in ("coc", "pdms"):
+        assert f"{Registry().load(name).name} is a polymer whose entry states no loss" in lossless_polymer(
+            Registry().load(name))
+    for name in ("petg", "soda_lime_glass/en572_2012", "silicon/wafer_100", "silicon/cubic_100_100", "water", "pzt5a"):
+        assert lossless_polymer(Registry().load(name)) == ""
+
+
+def test_a_density_of_no_solid_is_asked_about(tmp_path: Path) -> None:
+    """As that of a layer is (`geometry.plausible`); a fluid may be a gas."""
+    moduli = 'bulk_modulus = { value = 3.5, unit = "GPa" }\nshear_modulus = { value = 1, unit = "GPa" }\n'
+    slip = OF_SOLID.replace("1200", "1.2")
+    with pytest.raises(InputError, match=r"line 5: density: received '1.2 kg/m\^3'; expected 50 to 23000 kg/m\^3, the "
+                       r"usual range of a solid; .* did you mean '1200 kg/m\^3'"):
+        load(tmp_path, slip + moduli)
+    with pytest.raises(InputError, match=r"did you mean '1200 kg/m\^3'"):
+        load(tmp_path, OF_SOLID.replace("kg/m^3", "g/cm^3") + moduli)
+    aerogel = load(tmp_path, 'unusual = ["density"]\n' + slip + moduli)
+    assert aerogel.density == 1.2
+    with pytest.raises(InputError, match="did you mean 'density'"):
+        load(tmp_path, 'unusual = ["densty"]\n' + slip + moduli)
+    gas = OF_FLUID.replace("1000", "1.2") + 'sound_speed = { value = 340, unit = "m/s" }\n'
+    assert load(tmp_path, gas).density == 1.2
+    recording = RecordingSource(path="disc.csv", sha256="0" * 64, chip="disc.toml", chip_sha256="0" * 64)
+    fit = Fit(recordings=(recording,), algorithm="a", software="s", date="2026-01-01T00:00:00+00:00",
+              band=(0.9e6, 1.2e6), free=("bulk_modulus",), fixed=(), mape_percent=1.0, rms_log_residual=0.01,
+              confidence=0.95)
+    found = fitted(aerogel, {"bulk_modulus": Value(3.4e9, "Pa", "")}, fit=fit)
+    save_fit(found, "thing/light", folder=tmp_path)
+    assert Registry((tmp_path,)).load("thing/light").density == 1.2
 
 
 def test_losses_within_their_rounding_are_a_note_that_says_what_to_do() -> None:

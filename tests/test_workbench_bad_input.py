@@ -244,7 +244,8 @@ def test_a_wrong_phase_is_a_finding_and_not_mended_silently(
     message = said(command, capsys, status=0)
     assert word in message
     assert f"--correction {correction} " in message
-    assert "finding" not in said([*command, "--correction", correction], capsys, status=0)
+    # The capacitor is no recording of this chip, which remains a finding.
+    assert "--correction" not in said([*command, "--correction", correction], capsys, status=0)
 
 
 #: The arguments, and what the answer must name.
@@ -327,7 +328,8 @@ COMMAND_MISTAKES: dict[str, tuple[list[str], list[str]]] = {
     "import of nothing": (["materials", "import", "x.json"], ["x.json", "an existing file"]),
     "import of something else": (["materials", "import", "disc.csv"], ["disc.csv", "JSON syntax", "line 1 column 1"]),
     "temperature without unit": (["materials", "show", "water", "--temperature", "25"], ["--temperature", "degC"]),
-    "chip is a folder": (["mesh", "."], ["received '.'; expected a readable text file"]),
+    "chip is a folder": (["mesh", "."], ["received '.'; expected a readable text file; this is a folder",
+                                         "did you mean 'chip.toml'"]),
     "recording is a folder": (["compare", ".", "chip.toml", "-o", "out"], ["received '.'; expected a readable file"]),
     "field frequency in the wrong unit": (["render", "chip.toml", "--at", "400 Hz", "-o", "out"],
                                           ["'400 Hz'", "did you mean '0.4 MHz'"]),

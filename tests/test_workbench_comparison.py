@@ -68,8 +68,10 @@ def test_likely_causes_of_a_difference() -> None:
     assert "no nearer to the shape of the recording than a plain capacitor" in text
     assert "another state than 'filled'" in text
     assert text.endswith("--state names another state: empty")
-    # A recording without a resonance is that of a capacitor.
-    assert likely_causes(elsewhere, run, None, lossless=[], assumed=True) == []
+    # A recording without a resonance is that of a capacitor, which a simulation a little off does not beat.
+    plain = Spectrum(SWEEP, 1.0 / (2j * np.pi * SWEEP * 800e-12))
+    near = Spectrum(SWEEP, plain.impedance * np.exp(0.02 * np.sin(SWEEP / 1e4)))
+    assert likely_causes(compare(plain, near), run, None, lossless=[], assumed=True) == []
     lossy = compare(MEASURED, Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT | {"motional_resistance": 7.0})))
     assert likely_causes(lossy, run, circuit, lossless=[], assumed=True) == []
     (text,) = likely_causes(lossy, run, circuit, lossless=["pic255"], assumed=True)
@@ -79,6 +81,34 @@ def test_likely_causes_of_a_difference() -> None:
     (text,) = likely_causes(lossy, run, circuit, lossless=["pic255"], assumed=False)
     assert "pic255 without loss" in text
     assert likely_causes(compare(MEASURED, MEASURED), run, circuit, lossless=["pic255"], assumed=True) == []
+
+
+def test_a_simulation_farther_than_a_plain_capacitor_is_not_silent() -> None:
+    """A resistor, a recording in kohm and a probe of 1:10, against the same simulation."""
+    run: Any = SimpleNamespace(chip=SimpleNamespace(states=[]), state="empty")
+
+    def causes(measured: Spectrum, circuit: Any = None, **options: Any) -> list[str]:
+        return likely_causes(compare(measured, MEASURED), run, circuit, lossless=["pic255"], assumed=True, **options)
+
+    resistor = Spectrum(SWEEP, np.full(SWEEP.size, 50.0 + 0j))
+    assert compare(resistor, MEASURED).constant_percent == pytest.approx(0.0, abs=1e-9)
+    (text,) = causes(resistor)
+    assert "no nearer to the shape of the recording than a plain capacitor and a constant |Z|" in text
+    circuit: Any = object()
+    assert causes(MEASURED, circuit) == []
+    for power, unit in ((-3, "kohm"), (-6, "Mohm"), (3, "mohm")):
+        recorded = Spectrum(SWEEP, 10.0**power * MEASURED.impedance)
+        assert compare(recorded, MEASURED).best_factor == pytest.approx(10.0**-power, rel=1e-9)
+        (text,) = causes(recorded, circuit)
+        assert f"did you mean {unit}?" in text
+    (text,) = causes(Spectrum(SWEEP, 0.1 * MEASURED.impedance), circuit)
+    assert "is 10 times that of the recording" in text
+    assert "a probe or divider of another ratio" in text
+    assert causes(Spectrum(SWEEP, 0.9 * MEASURED.impedance), circuit) == []
+    # No loss is blamed for phases in doubt.
+    sharper = Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT | {"motional_resistance": 4.0}))
+    assert "assumed loss" in causes(sharper, circuit)[0]
+    assert causes(sharper, circuit, doubtful=True) == []
 
 
 def test_the_sign_of_a_row() -> None:

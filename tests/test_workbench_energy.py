@@ -55,6 +55,21 @@ def test_a_line_has_its_frequency_height_and_quality_factor() -> None:
     assert peak.energy_density == pytest.approx(3.0 / 4.0, rel=1e-8)  # 1 Vpp is half a volt of amplitude
 
 
+def test_a_picture_has_the_height_of_a_peak_that_the_points_miss() -> None:
+    """A line of a Q of 4000, half a step wide, midway between two points."""
+    coarse = of_lines([(1.00025e6, 4000.0, 80.0)])
+    (peak,) = coarse.peaks(ONE_VPP)
+    assert coarse.per_square_volt.max() < 0.3 * peak.per_square_volt
+    fine = coarse.resolved([peak])
+    assert fine.per_square_volt.max() == pytest.approx(peak.per_square_volt, rel=1e-12)
+    # Straight lines between its points, on the logarithmic axis of the picture, follow the peak.
+    between = np.linspace(0.999e6, 1.0015e6, 1001)
+    drawn = np.exp(np.interp(between, fine.frequency, np.log(fine.at_one_volt)))
+    assert drawn == pytest.approx(coarse.evaluate(between)[0], rel=0.06)
+    assert set(coarse.frequency) <= set(fine.frequency)
+    assert fine.frequency[[0, -1]] == pytest.approx(coarse.frequency[[0, -1]])
+
+
 def test_the_energy_under_a_drive_is_that_of_the_voltage_it_leaves() -> None:
     spectrum = of_lines([(1e6, 50.0, 2.0)])
     reactance = 1.0 / (2.0 * np.pi * spectrum.frequency * 1e-9)

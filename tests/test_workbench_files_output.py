@@ -93,6 +93,17 @@ def test_a_run_replaces_its_own_files_and_removes_those_it_does_not_make_again(t
     assert str(leftovers) == "report.html, points/1 are of an earlier `workbench simulate`"
 
 
+def test_every_file_that_a_run_removed_is_named(tmp_path: Path) -> None:
+    names = [f"spectrum_{number}.csv" for number in range(20)]
+    with hold(tmp_path) as folder:
+        for name in names:
+            write_atomic(folder.path / name, "first")
+    with hold(tmp_path) as folder:
+        text = str(folder.tidy())
+    assert all(f" {name}," in f"{text} ,".replace(" of an earlier run", ",") for name in names)
+    assert "more files" not in text
+
+
 def test_a_file_that_the_user_puts_there_meanwhile_is_not_replaced_either(tmp_path: Path) -> None:
     with hold(tmp_path) as folder:
         (tmp_path / "report.html").write_text("mine")
@@ -115,7 +126,13 @@ def test_a_folder_is_marked_until_its_results_are_complete(tmp_path: Path) -> No
     assert "`workbench simulate` (process" in (folder.path / MARK).read_text()
     assert "not complete" in (folder.path / MARK).read_text()
     folder.finish(complete=False)
-    assert not contents(folder.path)  # nothing was written: nothing to warn of
+    assert not (tmp_path / "out").exists()  # nothing was written: nothing to warn of, and no folder left
+    (tmp_path / "mine").mkdir()
+    hold(tmp_path / "mine").finish(complete=False)
+    assert not list((tmp_path / "mine").iterdir())
+    with hold(tmp_path / "empty"):
+        pass
+    assert (tmp_path / "empty").is_dir()
     folder = hold(tmp_path / "out")
     write_atomic(folder.path / "report.html", "x")
     folder.finish(complete=False)

@@ -270,6 +270,12 @@ def test_an_unknown_name_is_answered_with_the_nearest(stack: Problem, chip: Chip
     assert nearest in str(caught.value)
 
 
+def test_a_name_that_resembles_none_has_the_nearest_of_many(stack: Problem, chip: Chip) -> None:
+    with pytest.raises(InputError, match=r"one of \d\d names, such as .*c33") as caught:
+        parameters(stack, chip, PZT, ["c99"])
+    assert len(str(caught.value)) < 250
+
+
 def test_mistakes_in_full_names_are_answered_too(stack: Problem, chip: Chip) -> None:
     with pytest.raises(InputError, match="bulk_modulus") as caught:
         parameters(stack, chip, PZT, [f"{PLA}.bulk_modul"])

@@ -95,6 +95,18 @@ def test_materials_that_make_no_chip_are_refused(
         fill(with_material(chip, region, material, density), "empty", registry)
 
 
+def test_a_solid_in_a_cavity_with_a_temperature_is_the_mistake(chip: Chip, registry: Registry) -> None:
+    def filled_by(cavity: str) -> Chip:
+        return replace(chip, states=tuple(replace(state, cavity=cavity) for state in chip.states))
+
+    with pytest.raises(InputError, match=r"states.filled.cavity: received 'pmma'; expected a liquid or a gas in a "
+                       r"state with a temperature; this is an isotropic solid"):
+        fill(filled_by("pmma"), "filled", registry)
+    # Of a liquid without laws, the temperature is the mistake.
+    with pytest.raises(InputError, match=r"states.filled.temperature: .* no laws for it, by coupling_gel"):
+        fill(filled_by("coupling_gel"), "filled", registry)
+
+
 def with_particle(chip: Chip, folder: Path, entry: str, *, radius: float = 5e-6) -> FilledChip:
     """`chip` filled, with a particle of an entry of one's own."""
     (folder / "own").mkdir()
@@ -204,6 +216,14 @@ def test_a_passive_layer_is_said_and_is_not_driven(stack: Chip, registry: Regist
              for live in ("top", "bottom")}
     assert len(sides) == 2
     assert any("a layer that is not on the live electrode" in text for text in sides)
+
+
+def test_a_polymer_without_a_loss_is_a_finding(stack: Chip, registry: Registry) -> None:
+    plastic = replace(stack, layers=tuple(replace(layer, material="coc") if layer.region == "layer" else layer
+                                          for layer in stack.layers))
+    (text,) = fill(plastic, None, registry).findings
+    assert text.startswith("coc/topas_6013 is a polymer whose entry states no loss")
+    assert "upper bounds" in text
 
 
 def fill_or_refusal(chip: Chip, registry: Registry) -> str:

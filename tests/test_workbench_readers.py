@@ -284,6 +284,25 @@ def test_spreadsheet_copies_of_an_analyser_file(tmp_path: Path) -> None:
                                                delimiter="\t"))
 
 
+def test_spreadsheet_copies_of_the_workbench_s_own_file(tmp_path: Path) -> None:
+    """Semicolons or tabs with decimal points or commas, comments padded with empty cells."""
+    path = tmp_path / "own.csv"
+    origin = Origin("measured", instrument="E4990A", date="2026-03-01")
+    write_spectrum(Spectrum(FREQUENCY, IMPEDANCE, 0.01 * np.abs(IMPEDANCE), origin), path)
+    head, rows = (lines := path.read_text().splitlines())[:4], lines[4:]
+    assert head[-1].startswith("# rows"), lines
+    for sign in (";", "\t"):
+        for mark in (".", ","):
+            for padding in ("", 3 * sign):
+                copy = [line + padding for line in head] + [
+                    row.replace(".", "|").replace(",", sign).replace("|", mark) for row in rows]
+                path.write_text("\n".join(copy) + "\n")
+                reading = read_recording(path)
+                assert reading.findings == ()
+                assert reading.spectrum.origin.instrument == "E4990A"
+                np.testing.assert_array_equal(reading.spectrum.impedance, IMPEDANCE)
+
+
 def test_quoted_headings_and_byte_order_mark(tmp_path: Path) -> None:
     path = tmp_path / "quoted.csv"
     headings = b'\xef\xbb\xbf"frequency_hz", "z_real_ohm", "z_imag_ohm"\r\n'
@@ -329,6 +348,24 @@ def test_active_points_and_units() -> None:
     assert "0.907 MHz" in finding.message
     assert codes(impedance.real.clip(0.1) * 1e-5 + 0j) == ["magnitude"]
     assert codes(np.full(201, 50.0 + 0j), WIDE / 1e6) == ["frequency"]
+
+
+@pytest.mark.parametrize("impedance", [
+    bvd_impedance(WIDE, motional_resistance=5.9, motional_inductance=152e-6, motional_capacitance=168.6e-12,
+                  static_capacitance=792e-12),
+    # A weak resonance, and none.
+    bvd_impedance(WIDE, motional_resistance=590.0, motional_inductance=152e-5, motional_capacitance=16.86e-12,
+                  static_capacitance=792e-12),
+    1.0 / (2j * np.pi * WIDE * 1e-9) + 1.0,
+])
+def test_phases_in_radians_that_were_read_as_degrees(impedance: Any) -> None:
+    assert codes(impedance) == []
+    turned = np.abs(impedance) * np.exp(1j * np.radians(np.angle(impedance)))
+    (finding,) = examine(Spectrum(WIDE, turned))
+    assert finding.code == "radians"
+    assert "are the phases in radians?" in finding.message
+    # The top of a resonance in parallel: small phases belong to small changes of |Z|.
+    assert codes(50.0 / (1.0 + 2j * 0.2 * (WIDE - 1e6) / 1e6)) == []
 
 
 def test_correction_is_asked_for_and_noted(tmp_path: Path) -> None:

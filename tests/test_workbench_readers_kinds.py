@@ -122,6 +122,17 @@ def test_values_that_differ_are_averaged_and_states_that_differ_are_named(tmp_pa
     np.testing.assert_allclose(read_recording(path).spectrum.uncertainty, [0.25, 1.0])
 
 
+def test_two_labelled_tables_of_different_states_are_refused(tmp_path: Path) -> None:
+    body, other = table(*POINTS), table(*((f, 1.4 * z) for f, z in POINTS))
+    text = refusal(written(tmp_path, f"Run 1 empty\n{body}\nRun 2 full\n{other}"))
+    assert "the same headings at line 2 (below 'Run 1 empty') and line 26 (below 'Run 2 full')" in text
+    assert "much more than neighbouring frequencies are: keep one of these tables" in text
+    assert "line 1 and line 23\"" in refusal(written(tmp_path, body + other)).replace("'", '"')
+    # Repeated sweeps of one state are averaged.
+    near = table(*((f, 1.004 * z) for f, z in POINTS))
+    assert "averaged" in codes(written(tmp_path, f"Run 1\n{body}\nRun 2\n{near}"))
+
+
 def test_a_sweep_at_one_frequency_is_none(tmp_path: Path) -> None:
     assert "2 points at one frequency" in refusal(written(tmp_path, table(POINTS[0], POINTS[0])))
     assert "0 points at one frequency" in refusal(written(tmp_path, HEAD + "0,0,0\n0,0,0\n"))

@@ -251,6 +251,17 @@ def test_a_line_is_drawn_through_its_interpolant_and_dots_are_not(
     assert drawn == [(count - 1) * plots.BETWEEN + 1, count]
 
 
+@pytest.mark.parametrize(("low", "high", "label"), [(30.0, 80.0, "40"), (2e4, 6e4, "40000"), (5.0, 5e3, r"10^{2}")])
+def test_a_logarithmic_axis_within_a_decade_has_plain_numbers(low: float, high: float, label: str) -> None:
+    axes = plots.new_figure(4.0, 3.0).subplots()
+    axes.plot([0.0, 1.0], [low, high])
+    plots.logarithmic(axes)
+    axes.figure.canvas.draw()
+    labels = [text.get_text() for text in (*axes.get_yticklabels(), *axes.get_yticklabels(minor=True))]
+    assert any(label in text for text in labels), labels
+    assert (high > 10.0 * low) == any("10^" in text for text in labels)
+
+
 def test_a_lossless_region_has_its_bar(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     monkeypatch.setattr(plots, "save_figure",

@@ -65,6 +65,7 @@ def run_compare(options: argparse.Namespace, console: Console) -> int:
     resonances = {"measured": resonances_of(comparison.measured), "simulated": run.resonances}
     stated = fill(chip, run.state, model.registry).materials.values()
     found += likely_causes(comparison, run, resonances["measured"], assumed=model.assumed_losses,
+                           doubtful=any(finding.code == "radians" for finding in reading.findings),
                            lossless=sorted({each.name for each in stated if with_assumed_loss(each)[1]}))
     write_json(folder / "merit.json", {
         "chip": chip.name, "recording": str(options.recording), "state": run.state,

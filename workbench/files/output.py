@@ -64,7 +64,8 @@ class Leftovers:
     remaining: tuple[tuple[str, str], ...]
 
     def __str__(self) -> str:
-        parts = [f"removed {enumerated(self.removed)} of an earlier run"] if self.removed else []
+        # All names, since these files are gone.
+        parts = [f"removed {', '.join(self.removed)} of an earlier run"] if self.removed else []
         for command in dict.fromkeys(command for _, command in self.remaining):
             names = [name for name, each in self.remaining if each == command]
             parts.append(f"{enumerated(names)} {'are' if len(names) > 1 else 'is'} of an earlier `workbench {command}`")
@@ -72,10 +73,15 @@ class Leftovers:
 
 
 class OutputFolder:
-    """The folder ``path`` of a run, locked until :meth:`finish`. The end of a ``with`` block finishes it."""
+    """The folder ``path`` of a run, locked until :meth:`finish`. The end of a ``with`` block finishes it. A run that
+    fails and has written nothing removes the folders it ``made``."""
 
-    def __init__(self, path: Path, outputs: Outputs, lock: int, inputs: frozenset[str]) -> None:
+    def __init__(
+        self, path: Path, outputs: Outputs, lock: int, inputs: frozenset[str], made: Sequence[Path] = ()
+    ) -> None:
         self.path, self.outputs, self._lock, self._inputs = path, outputs, lock, inputs
+        #: Files and folders that :func:`begin` created, the innermost first.
+        self._made = made
         #: Whether a mark of another run, or one changed by the user, remains although the results are complete.
         self.has_mark = False
         manifest = Manifest(path)
@@ -117,6 +123,8 @@ class OutputFolder:
         self.has_mark = complete and mark.exists()
         clear(self.path)
         (self.path / STATE / RUN).unlink(missing_ok=True)
+        if not complete and not written:
+            _unmake(self._made)
         os.close(self._lock)
         self._lock = -1
 
@@ -176,7 +184,7 @@ def begin(
             write_atomic(path / STATE / RUN, json.dumps({
                 "command": outputs.command, "process": os.getpid(), "begun": now(), "named": outputs.named,
                 "working": outputs.working}) + "\n")
-            return OutputFolder(path, outputs, lock, read)
+            return OutputFolder(path, outputs, lock, read, made)
         except BaseException:
             os.close(lock)
             raise

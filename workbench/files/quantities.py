@@ -11,6 +11,10 @@ from workbench.files.errors import InputError, nearest_names
 #: Permittivity of free space in F/m (CODATA 2018).
 VACUUM_PERMITTIVITY = 8.8541878128e-12
 
+#: Lowest and highest usual density (kg/m^3) of a solid, from foam to platinum. A solid of one's own outside is probably
+#: in the wrong unit; twice as wide, a slip of g/cm^3 is still outside.
+SOLID_DENSITIES = (50.0, 23e3)
+
 #: Factor to SI of every unit accepted in a file, by dimension. Temperatures are handled in :func:`parse_quantity`.
 UNITS: Mapping[str, Mapping[str, float]] = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import json
 import math
 import re
@@ -25,6 +26,15 @@ LONG_KEY = re.compile(rf"\s*\[{{0,2}}\s*[\w-]+(?:\s*\.\s*[\w-]+){{{DEEPEST},}}\s
 #: The parser's message for a repeated table.
 TWICE = re.compile(r"Cannot declare \((?P<parts>.*?)\) twice \((?P<place>.*?)\)")
 
+#: The parser's message for a repeated key, which names its place alone.
+OVERWRITTEN = re.compile(r"Cannot overwrite a value \((?P<place>at line (?P<line>\d+).*?)\)")
+#: The key at the beginning of a line.
+KEY = re.compile(r"\s*(?P<key>[\w.\s\"'-]+?)\s*=")
+
+#: Byte-order marks of encodings that TOML does not have; those of UTF-32 begin as those of UTF-16 do.
+MARKS = ((codecs.BOM_UTF32_LE, "UTF-32"), (codecs.BOM_UTF32_BE, "UTF-32"), (codecs.BOM_UTF16_LE, "UTF-16"),
+         (codecs.BOM_UTF16_BE, "UTF-16"))
+
 #: Whole numbers of TOML have 64 bits.
 LARGEST = 2**63
 
@@ -43,10 +53,15 @@ def parse_toml(text: str, *, source: str, field: str = "TOML syntax") -> dict[st
 
 
 def _loaded(text: str) -> dict[str, Any]:
-    """The content of TOML text; a repeated table has a clear error."""
+    """The content of TOML text, with clear errors for repetitions."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
+        if again := OVERWRITTEN.search(str(error)):
+            # The value of the key may begin on a line above.
+            above = map(KEY.match, reversed(text.splitlines()[:int(again["line"])]))
+            key = next((found["key"] for found in above if found), "")
+            raise ValueError(f"the key {key!r} a second time ({again['place']})") from None
         twice = TWICE.search(str(error))
         if twice is None:
             raise
@@ -88,20 +103,40 @@ def _parsed(parse: Callable[[str], Any], text: str, expected: str, *, source: st
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The content of a TOML file.
+    """The content of a TOML file, with or without a byte-order mark.
 
     Raises:
-        InputError: the file does not exist, is not text, or is not TOML (the parser's line and column are kept).
+        InputError: the file does not exist, is not text in UTF-8, or is not TOML (the parser's line and column are
+            kept).
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        data = path.read_bytes()
     except FileNotFoundError:
         near = nearest_files(path, lambda each: each.suffix == ".toml")
         raise file_error(path, "an existing file", near) from None
+    except IsADirectoryError:
+        inside = sorted(path.glob("*.toml"), key=lambda each: (each.name != "chip.toml", each.name))
+        raise file_error(path, "a readable text file; this is a folder", tuple(map(str, inside[:1]))) from None
     except (OSError, ValueError) as error:
-        # A path with a zero byte, and a byte that is not UTF-8, are ValueErrors.
+        # A path with a zero byte is a ValueError.
         raise file_error(path, f"a readable text file ({error})") from None
-    return parse_toml(text, source=str(path))
+    return parse_toml(_utf8(data, str(path)), source=str(path))
+
+
+def _utf8(data: bytes, source: str) -> str:
+    """The text of a file, without its mark, with plain line ends."""
+    expected = "text in UTF-8; save it as UTF-8 in the editor"
+    encoding = next((name for mark, name in MARKS if data.startswith(mark)), "")
+    if encoding:
+        raise InputError(source, "line 1", f"text in {encoding}", expected)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        letter = data[error.start:error.start + 1]
+        raise InputError(source, f"line {line}", f"byte 0x{letter.hex()}, {letter.decode('latin-1')!r} in Latin-1, "
+                         "which is no UTF-8", expected) from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from geometry.dimension import Dimension
 from geometry.stretch import admissible_range
 from materials.kinds import IsotropicSolid, Piezoelectric
 from materials.registry import Material
-from workbench.files.errors import InputError, nearest_names
+from workbench.files.errors import InputError, nearest_names, one_of
 from workbench.model.device_numbers import assumed_by_role, bench_number, coefficient_number, length_number
 from workbench.model.numbers import BENCH, BENCH_ELEMENTS, LOSS, Number, ParameterName, Stated
 from workbench.model.problem import Problem
@@ -257,7 +257,7 @@ def parameters(problem: Problem, chip: Chip | None, material: str, names: Sequen
             known = [*sorted(own), *(f"{key}{LOSS}" for key in sorted(own)), *dimensions,
                      *(BENCH + key for key in BENCH_ELEMENTS)]
             raise InputError("fit", "free", name, f"a coefficient of {material}, a dimension or a bench element: "
-                             f"{', '.join(known)}", nearest_names(name, known))
+                             f"{one_of(known, name)}", nearest_names(name, known))
         if any(other.name == added.name for other in result):
             raise InputError("fit", "free", name, "each parameter once")
         result.append(added)

@@ -27,7 +27,7 @@ from geometry.names import (
 from geometry.plausible import check_masses
 from geometry.section import Section
 from geometry.straight import straight_findings
-from materials.assumed import with_assumed_loss
+from materials.assumed import lossless_polymer, with_assumed_loss
 from materials.kinds import CubicSolid, Fluid, IsotropicSolid, Piezoelectric
 from materials.registry import Material, Registry
 from materials.use import check_use
@@ -201,7 +201,7 @@ def fill(chip: Chip, state: str | None = None, registry: Registry | None = None)
 
     The default state is the last one of its file; the default registry is the package's with the chip's folders. A
     density in the chip file replaces the material's own. The state's temperature is that of the material in the cavity.
-    A lossless ceramic has an assumed loss if the registry has ``assumed_losses``.
+    A lossless ceramic has an assumed loss if the registry has ``assumed_losses``; a finding names a lossless polymer.
 
     Raises:
         InputError: unknown state or material, a transducer that is not piezoelectric, one material with two densities,
@@ -223,6 +223,7 @@ def fill(chip: Chip, state: str | None = None, registry: Registry | None = None)
         if registry.assumed_losses:
             material, assumed = with_assumed_loss(material)
             findings.append(assumed)
+        findings.append(lossless_polymer(material))
         if isinstance(material, Piezoelectric) and role_of(region) != TRANSDUCER:
             findings.append(f"{region} of {material.name} is a passive layer: its whole surface is an electrode at "
                             "ground, so that it is short-circuited")
@@ -366,6 +367,10 @@ def _load(
             near = tuple(each for each in error.nearest if each in known) or nearest_names(name, sorted(known))
             raise InputError(chip.file, f"material of {region}", name, error.expected, near) from error
         if temperature is not None and "temperature" in error.field:
+            material = registry.load(name, notes=[])
+            if not isinstance(material, Fluid):
+                raise InputError(chip.file, f"states.{state.name}.cavity", name, "a liquid or a gas in a state with a "
+                                 f"temperature; this is {_kind(material)}") from error
             field = f"states.{state.name}.temperature"
             raise InputError(chip.file, field, error.value, f"{error.expected}, by {name}") from error
         raise

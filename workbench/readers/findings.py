@@ -30,6 +30,10 @@ BEYOND_NOISE = 5.0
 OUT_OF_LINE = (8.0, 2.0, 6.0)
 
 
+#: Ratio of a radian to a degree. Phases that Bode's relation makes this much too small were in radians; halfway between
+#: the two units, by ratio, neither is likelier.
+RADIAN = float(np.degrees(1.0))
+
 #: Stretches of rows that a finding names. Doubled, it fills the screen.
 NAMED = 8
 
@@ -100,6 +104,7 @@ def examine(spectrum: Spectrum, *, rows: Rows | None = None, shunt_gain: bool = 
       advised, since each applies to every point.
     - ``unsigned``: the reactance is never of the other sign and touches zero with a kink: it was written without its
       sign. The findings below are on the spectrum with its signs.
+    - ``radians``: |Z| changes far more than its phases allow, and as much as they would if they were in radians.
     - ``magnitude``, ``frequency``: values no analyser of this kind reaches.
     """
     frequency = spectrum.frequency
@@ -149,6 +154,7 @@ def examine(spectrum: Spectrum, *, rows: Rows | None = None, shunt_gain: bool = 
         findings.append(Finding("conjugated", "possible phase-sign error: the reflection coefficient turns "
                                 "anticlockwise with rising frequency; read with "
                                 f"{CORRECTION.format(name='conjugate')}"))
+    findings += _in_radians(spectrum)
     typical = float(np.median(spectrum.magnitude))
     if not PLAUSIBLE_OHM[0] <= typical <= PLAUSIBLE_OHM[1]:
         findings.append(Finding("magnitude", f"the median |Z| is {typical:.3g} ohm: is the unit right?"))
@@ -210,6 +216,28 @@ def _active(spectrum: Spectrum, rows: Rows, whole: NDArray[np.bool_]) -> list[Fi
     if len(beyond):
         words += f"; beyond the noise: {rows.named(beyond, spectrum.frequency)}; {LEAVE_OUT.format(it='them')}"
     return [Finding("active", words, rows.of(beyond))]
+
+
+def _in_radians(spectrum: Spectrum) -> list[Finding]:
+    """The finding on phases in radians that were read as degrees.
+
+    By Bode's relation a phase phi goes with a slope d ln |Z| / d ln f of 2 phi / pi, and ln |Z| of a resonance changes
+    by no more than its phase does. The sum of the two is the largest change of ln |Z| that the phases allow.
+    """
+    phase = np.angle(spectrum.impedance)
+    largest = float(np.max(np.abs(phase)))
+    # A phase in radians does not exceed pi.
+    if np.degrees(largest) > np.pi:
+        return []
+    sweep = float(np.log(spectrum.frequency[-1] / spectrum.frequency[0]))
+    allowed = 2.0 / np.pi * largest * sweep + float(np.ptp(phase))
+    change = float(np.ptp(np.log(spectrum.magnitude)))
+    if not allowed * RADIAN**0.5 < change < allowed * RADIAN**1.5:
+        return []
+    return [Finding("radians", f"no phase is beyond {np.degrees(largest):.2g} degrees, but |Z| changes by a factor of "
+                    f"{np.exp(change):.3g}, which takes phases about {RADIAN:.0f} times as large: are the phases in "
+                    'radians? If so, read with --columns MAP.toml, phase_unit = "rad" in its quantity and the column '
+                    "of the phase by its number (such as second = 3), which overrules its heading")]
 
 
 def _stretches(spectrum: Spectrum) -> list[tuple[int, int]]:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 PUT_IN_ORDER = "put in order"
 #: Findings on the spectrum itself, which are found anew after a correction.
 _EXAMINED = frozenset({"inverse_ratio", "negated", "active", "conjugated", "unsigned", "stretch", "magnitude",
-                       "frequency", "outlier", "spacing"})
+                       "frequency", "outlier", "spacing", "radians"})
 #: The setting of an origin that lists the points left out on request.
 LEFT_OUT = "left out"
 #: Largest relative difference of equal frequencies: digits lost in a unit. Doubled, nothing changes, since no analyser
@@ -136,7 +136,7 @@ def in_order(
 
     Raises:
         InputError: fewer than two frequencies, a negative one, none beside values, an impedance that is zero or not
-            finite.
+            finite; several tables of the same headings that differ as states do.
     """
     text, lines = table.text, np.array(table.lines, dtype=np.intp)
     first = int(lines[0]) if lines.size else len(text.lines)
@@ -167,6 +167,8 @@ def in_order(
         mean: Complex = np.asarray(
             (np.bincount(groups, impedance.real) + 1j * np.bincount(groups, impedance.imag)) / counts, complex)
         found.append(_joined(np.bincount(groups, frequency) / counts, impedance, mean, groups, counts))
+        if found[-1].code == "disagree" and table.repeated:
+            raise _labelled_states(table, found[-1])
         stated = np.sqrt(np.bincount(groups, stated**2)) / counts
         if uncertainty is None and found[-1].code == "averaged" and lines.size - len(counts) >= REPEATS:
             # Relative standard deviation of the real and imaginary part, each, about the mean of a group.
@@ -183,6 +185,20 @@ def in_order(
         origin = replace(origin, settings={**origin.settings, PUT_IN_ORDER: words})
     spectrum = Spectrum(frequency, impedance, None if uncertainty is None else stated, origin, shared_uncertainty)
     return Reading(spectrum, tuple(found), Rows(tuple(lines.tolist()), text.row))
+
+
+def _labelled_states(table: Table, disagree: Finding) -> InputError:
+    """The error about several tables that differ as states do."""
+    text = table.text
+    places = []
+    for line in (table.line + 1, *table.repeated):
+        label = text.lines[line - 2].strip(" ,;\t") if line > 1 else ""
+        # A row above is no label.
+        named = label and not label[:1].isdigit()
+        places.append(f"line {line}" + (f" (below {label[:40]!r})" if named else ""))
+    return InputError(text.path, "rows", f"the same headings at {' and '.join(places)}", "the sweep of one device or "
+                      f"state; here {disagree.message.partition(': their means')[0]}: keep one of these tables in a "
+                      "copy of the file")
 
 
 def _with_values(

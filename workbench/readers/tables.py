@@ -44,7 +44,8 @@ class Table:
     Its ``headings`` (empty without any) stand on the line of index ``line`` and are the cells of that line if
     ``plain``; its rows of ``width`` columns begin at the index ``start``. Once :meth:`with_rows` has found the rows,
     there are their ``cells`` with the ``decimal`` mark, the ``lines`` (from one) they stand on, the lines ``skipped``
-    below the first row since they are no rows, and the line at which a ``next_table`` begins (None: no other).
+    below the first row since they are no rows, the lines where the headings are ``repeated``, and the line at which a
+    ``next_table`` begins (None: no other).
     """
 
     text: RecordingText
@@ -59,6 +60,7 @@ class Table:
     cells: tuple[tuple[str, ...], ...] = ()
     lines: tuple[int, ...] = ()
     skipped: tuple[int, ...] = ()
+    repeated: tuple[int, ...] = ()
     next_table: int | None = None
 
     @cached_property
@@ -162,7 +164,7 @@ class Table:
         decimal, width = table.decimal, self.width
         above = cells(uncommented(self.text.lines[self.line]), self.delimiter) if self.headings else []
         rows: dict[int, tuple[str, ...]] = {}
-        skipped, words, next_table = [], list[int](), None
+        skipped, words, repeated, next_table = [], list[int](), list[int](), None
         for line, content, row in self.content:
             first = row[frequency] if frequency < len(row) else ""
             others = sum(is_number(cell, decimal) or complex_parts(cell) is not None
@@ -189,6 +191,7 @@ class Table:
             if strict or (others > 1 and not first[:1].isalpha()):
                 cell_number(self.text, line, frequency + 1, cell=first, decimal=decimal)
             if not rows or row == above:
+                repeated += [line] if rows else []
                 continue
             if not others and len(row) == width > 1 and all(row) and (
                     not table._goes_on(line, frequency, rows, words)):
@@ -201,7 +204,7 @@ class Table:
             raise self.text.error(words[0], None, self.text.lines[words[0] - 1], f"{width} columns of numbers; "
                                   f"{len(words)} lines among {len(rows)} rows hold words")
         return replace(table, cells=tuple(rows.values()), lines=tuple(rows), skipped=tuple(skipped),
-                       next_table=next_table)
+                       repeated=tuple(repeated), next_table=next_table)
 
     def _goes_on(self, line: int, frequency: int, rows: Mapping[int, Sequence[str]], words: Sequence[int]) -> bool:
         """Whether the sweep continues below a `line` of words.

@@ -1,6 +1,7 @@
 """The workbench's own file, written by :func:`workbench.results.spectrum.write_spectrum`.
 
-The origin's lines may be missing.
+The origin's lines may be missing. A spreadsheet's copy is read too: semicolons or tabs between the columns, decimal
+commas, empty cells behind a line.
 """
 
 from __future__ import annotations
@@ -14,15 +15,22 @@ from workbench.readers.tables import Table
 from workbench.readers.text import RecordingText, cells
 from workbench.results.spectrum import CSV_COLUMNS, ORIGIN_KINDS, ROWS, SHARED_UNCERTAINTY, UNCERTAINTY_COLUMN, Origin
 
+#: Signs that a spreadsheet puts between columns instead of commas.
+_REWRITTEN = (";", "\t")
 _ORIGIN_KEYS = ("kind", "source", "sha256", "instrument", "date")
 
 
 def recognises_workbench_csv(text: RecordingText) -> bool:
     """Whether the first line without ``#`` holds the names of the columns."""
     header = next((line for line in text.lines if not line.startswith("#") and line.strip()), "")
-    names = cells(header, ",")
+    names = cells(header, _delimiter(header))
     # Another program may use this name for its frequency; its other columns tell.
     return names[0].startswith(CSV_COLUMNS[0]) and (len(names) < 3 or not set(names).isdisjoint(CSV_COLUMNS[1:]))
+
+
+def _delimiter(header: str) -> str:
+    """The sign between the columns, by default a comma."""
+    return next((sign for sign in _REWRITTEN if sign in header), ",")
 
 
 def parse_workbench_csv(text: RecordingText) -> Reading:
@@ -32,17 +40,21 @@ def parse_workbench_csv(text: RecordingText) -> Reading:
         InputError: a metadata key, column name or row that :func:`~workbench.results.spectrum.write_spectrum` would not
         write.
     """
-    comments = [(line, content, content[1:].partition(":")[0].strip(), content.partition(":")[2].strip())
-                for line, content in enumerate(text.lines, 1) if content.startswith("#")]
     start = next((index for index, line in enumerate(text.lines) if line.strip() and not line.startswith("#")), None)
     if start is None:
         raise text.error(len(text.lines), None, text.lines[-1], "the column names and rows; the file is cut short")
+    delimiter = _delimiter(text.lines[start])
+    padding = "" if delimiter == "," else delimiter
+    comments = [(line, content, content[1:].partition(":")[0].strip(), content.partition(":")[2].strip())
+                for line, content in ((line, content.rstrip(padding) if padding else content)
+                                      for line, content in enumerate(text.lines, 1)) if content.startswith("#")]
     origin, shared = _origin(text, [each for each in comments if each[2] not in (SHARED_UNCERTAINTY, ROWS)]), 0.0
-    names = tuple(cells(text.lines[start], ","))
+    names = tuple(cells(text.lines[start], delimiter))
     if names not in (CSV_COLUMNS, (*CSV_COLUMNS, UNCERTAINTY_COLUMN)):
         wanted = ",".join(CSV_COLUMNS)
         raise text.error(start + 1, None, text.lines[start], f"{wanted} or {wanted},{UNCERTAINTY_COLUMN}")
-    table = Table(text, names, start, start + 1, ",", len(names), comments=("#",)).with_rows(0, ".", strict=True)
+    table = Table(text, names, start, start + 1, delimiter, len(names), comments=("#",)).with_rows(
+        0, "." if delimiter == "," else "", strict=True)
     frequency, real, imaginary, *uncertainty = table.numbers(range(len(names)))
     for line, value in zip(table.lines, *uncertainty, strict=True) if uncertainty else ():
         if value <= 0.0:

@@ -69,7 +69,7 @@ def draw_spectra(
 
 def save_impedance(figure: Figure, magnitude: Axes, phase: Axes, path: Path, *, title: str) -> Path:
     """Label the axes of |Z| (logarithmic) and phase, and write `path`."""
-    magnitude.set_yscale("log")
+    logarithmic(magnitude)
     magnitude.set_ylabel("|Z| (Ω)")
     magnitude.set_title(title)
     magnitude.legend(frameon=False)
@@ -118,7 +118,7 @@ def save_energy(figure: Figure, path: Path | str) -> Path:
     """Write a figure of :func:`energy_panels` with a legend and logarithmic axes."""
     figure.axes[0].legend(frameon=False)
     for axes in figure.axes:
-        axes.set_yscale("log")
+        logarithmic(axes)
         tidy(axes, both=True)
     figure.align_ylabels()
     figure.tight_layout()
@@ -204,6 +204,24 @@ def draw_convergence(
     tidy(axes, both=True)
     figure.tight_layout()
     return save_figure(figure, path)
+
+
+def logarithmic(axes: Axes) -> None:
+    """Set a logarithmic axis of y, with plain numbers within a decade."""
+    from matplotlib.ticker import LogFormatter
+
+    class Plain(LogFormatter):
+        """Plain numbers instead of powers: 50 for 5 x 10^1."""
+
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return f"{x:g}" if super().__call__(x, pos) else ""
+
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    # Over more than a decade, only powers of ten have labels.
+    if high <= 10.0 * low:
+        axes.yaxis.set_major_formatter(Plain())
+        axes.yaxis.set_minor_formatter(Plain())
 
 
 def tidy(axes: Axes, *, both: bool = False) -> None:

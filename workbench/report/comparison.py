@@ -16,12 +16,15 @@ from workbench.report.resonances import resonance_notes, resonances_table
 from workbench.report.simulation import model_table
 from workbench.results.circuit import CircuitFit
 from workbench.results.comparison import Comparison
-from workbench.results.spectrum import Spectrum
+from workbench.results.spectrum import Spectrum, scatter
 from workbench.simulation.run import Simulation
 
 #: Reduced chi-square below which a simulation agrees with a recording whose uncertainty is known. Doubled, a systematic
 #: difference as large as the noise is called agreement.
 AGREES = 1.5
+
+#: Units of impedance by powers of 1000 ohm, with those of admittance that make the same factor.
+UNITS_APART = {-2: ("uohm", "MS"), -1: ("mohm", "kS"), 1: ("kohm", "mS"), 2: ("Mohm", "uS"), 3: ("Gohm", "nS")}
 
 #: Relative difference of Q above which an unstated loss is named. Doubled, a loss that is a fifth off is not named.
 Q_DIFFERS = 0.1
@@ -46,7 +49,8 @@ def distance_table(comparison: Comparison) -> TextTable:
 
 
 def likely_causes(
-    comparison: Comparison, run: Simulation, measured: CircuitFit | None, *, lossless: Sequence[str], assumed: bool
+    comparison: Comparison, run: Simulation, measured: CircuitFit | None, *, lossless: Sequence[str], assumed: bool,
+    doubtful: bool = False,
 ) -> list[str]:
     """Likely causes of a large difference, a sentence each.
 
@@ -54,21 +58,49 @@ def likely_causes(
         measured: resonances of the recording, if any.
         lossless: names of the ceramics whose sources state no loss.
         assumed: whether these have the assumed loss.
+        doubtful: whether the phases of the recording are in doubt, and with them its Q.
     """
-    ours, plain = comparison.scaled_percent
-    if measured is not None and ours >= plain:
-        others = ", ".join(state.name for state in run.chip.states if state.name != run.state)
-        return [f"the simulation is no nearer to the shape of the recording than a plain capacitor: MAPE of |Z| "
+    ours, capacitor = comparison.scaled_percent
+    others = ", ".join(state.name for state in run.chip.states if state.name != run.state)
+    # A recording without a resonance is that of a capacitor, or of no device.
+    plain, word = (capacitor, "a plain capacitor") if measured is not None else (
+        _plain_percent(comparison), "a plain capacitor and a constant |Z|")
+    if ours >= plain:
+        return [f"the simulation is no nearer to the shape of the recording than {word}: MAPE of |Z| "
                 f"{ours:.3g} and {plain:.3g} %, each scaled by its best factor. Likely causes: a recording of "
                 f"another state than {run.state!r} or of another device (wrong file), a wrong length or unit in the "
                 "chip file" + (others and f". --state names another state: {others}")]
+    found = _level(comparison)
     differences = [row.difference_percent for row in comparison.rows if row.metric.startswith("Q")]
-    if not lossless or not differences or abs(differences[0]) < 100.0 * Q_DIFFERS:
-        return []
+    if doubtful or not lossless or not differences or abs(differences[0]) < 100.0 * Q_DIFFERS:
+        return found
     cause = (f"the assumed loss of {', '.join(lossless)}, whose source states none" if assumed else
              f"{', '.join(lossless)} without loss, as its source states none")
-    return [f"Q differs by {differences[0]:+.3g} %. Likely cause: {cause}. `workbench fit pzt` finds the loss from a "
-            "recording of the bare transducer" + ("; --no-assumed-losses leaves it out" if assumed else "")]
+    return [*found, f"Q differs by {differences[0]:+.3g} %. Likely cause: {cause}. `workbench fit pzt` finds the loss "
+            "from a recording of the bare transducer" + ("; --no-assumed-losses leaves it out" if assumed else "")]
+
+
+def _plain_percent(comparison: Comparison) -> float:
+    """Noise and MAPE (%) of the worse of capacitor and constant."""
+    return max(comparison.scaled_percent[1], comparison.constant_percent) + 100.0 * scatter(comparison.measured)
+
+
+def _level(comparison: Comparison) -> list[str]:
+    """The finding, if any, on |Z| off by a factor.
+
+    The factor is larger than the distance of the recording from a plain capacitor and from a constant.
+    """
+    factor, ours = comparison.best_factor, comparison.scaled_percent[0]
+    if 100.0 * (max(factor, 1.0 / factor) - 1.0) < _plain_percent(comparison):
+        return []
+    apart = UNITS_APART.get(round(np.log10(factor) / 3.0))
+    text = (f"|Z| of the simulation is {factor:.4g} times that of the recording, with a MAPE of {ours:.3g} % once the "
+            "recording is scaled by it")
+    if apart is None:
+        return [f"{text}. Likely causes: another permittivity of the ceramic or area of the electrode than in the chip "
+                "file, a probe or divider of another ratio, a wrong reference resistance, another device"]
+    return [f"{text}: did you mean {apart[0]}? Values in {apart[0]} were probably read as ohm (or an admittance in "
+            f"{apart[1]} as S). Mend the unit in the heading, or read with --columns MAP.toml"]
 
 
 def what_next(comparison: Comparison, chip: Path, recording: Path, state: str) -> str:

@@ -196,7 +196,7 @@ def dimensions_table(chip: Chip) -> TextTable:
 
 def _driven(chip: Chip, runs: Sequence[Simulation], folder: Path) -> list[Block]:
     """The operating points and energy peaks of wet states; empty without one."""
-    energy = {run.state: run.energy for run in runs if run.energy is not None}
+    energy = {run.state: run.energy.resolved(run.operating.peaks) for run in runs if run.energy is not None}
     if not energy:
         return []
     marked = {run.state: [peak.frequency for peak in run.operating.peaks[:MOST_MARKED]]

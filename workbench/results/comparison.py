@@ -69,7 +69,18 @@ class Comparison(Shown):
         capacitor does not explain the resonances of the recording.
         """
         measured = self.measured.magnitude
-        return _scaled(self.simulated.magnitude / measured), _scaled(1.0 / (self.measured.frequency * measured))
+        return (_scaled(self.simulated.magnitude / measured)[0],
+                _scaled(1.0 / (self.measured.frequency * measured))[0])
+
+    @property
+    def constant_percent(self) -> float:
+        """MAPE (%) of the constant |Z| that is nearest to the recording."""
+        return _scaled(1.0 / self.measured.magnitude)[0]
+
+    @property
+    def best_factor(self) -> float:
+        """Factor on the recorded |Z| that brings it nearest to the simulation."""
+        return 1.0 / _scaled(self.simulated.magnitude / self.measured.magnitude)[1]
 
     def summary(self) -> Summary:
         """Errors and figures side by side, for a notebook."""
@@ -146,15 +157,15 @@ def _reduced_chi_square(measured: Spectrum, simulated: Spectrum) -> float | None
     return float(np.mean(squares)) / 2.0
 
 
-def _scaled(ratio: NDArray[np.float64]) -> float:
-    """The least mean of 100 |s ratio - 1| over factors s.
+def _scaled(ratio: NDArray[np.float64]) -> tuple[float, float]:
+    """Least mean of 100 |s ratio - 1|, and its s.
 
     The best s is the median of 1 / ratio, weighted by ratio.
     """
     ascending = np.sort(1.0 / ratio)
     weight = np.cumsum(1.0 / ascending)
-    best = ascending[np.searchsorted(weight, 0.5 * weight[-1])]
-    return 100.0 * float(np.mean(np.abs(best * ratio - 1.0)))
+    best = float(ascending[np.searchsorted(weight, 0.5 * weight[-1])])
+    return 100.0 * float(np.mean(np.abs(best * ratio - 1.0))), best
 
 
 def _rows(measured: Spectrum, simulated: Spectrum, near: float | None) -> tuple[tuple[MetricRow, ...], str]:

@@ -8,7 +8,7 @@ watt.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -34,6 +34,10 @@ PER_WATT = PowerDrive(1.0)
 
 #: Largest number of peaks of a band.
 MOST = 4
+
+#: Offsets from a peak, in half widths, at which a picture of it has points: a tenth at the top (1 % of its height), and
+#: 100 at the foot, where a curve through the computed points takes over.
+AROUND = np.geomspace(0.1, 100.0, 31)
 
 #: Relative tolerance of a peak's frequency. The energy is flat at a peak, so a hundredth of a half width is enough.
 CONVERGED = 1e-8
@@ -112,6 +116,17 @@ class EnergySpectrum(Brief):
         drive = wired(drive, self.chip)
         found = peaks_of(self.under(drive))[:MOST]
         return tuple(sorted((self._peak(drive, k) for k in found), key=lambda peak: -peak.energy_density))
+
+    def resolved(self, peaks: Iterable[EnergyPeak]) -> EnergySpectrum:
+        """The spectrum with further points on its `peaks`, for a picture."""
+        inner = [self.frequency]
+        for peak in peaks:
+            # Without a quality factor, a peak is as wide as the step at least.
+            half = peak.frequency / (2.0 * peak.q) if peak.q else float(np.min(np.diff(self.frequency)))
+            inner.append(peak.frequency + half * np.concatenate((-AROUND, [0.0], AROUND)))
+        frequency = np.unique(np.concatenate(inner))
+        frequency = frequency[(frequency >= self.frequency[0]) & (frequency <= self.frequency[-1])]
+        return EnergySpectrum(frequency, *self.evaluate(frequency), self.evaluate, self.chip)
 
     def _peak(self, drive: Drive, top: int) -> EnergyPeak:
         def level(frequency: float) -> float:
