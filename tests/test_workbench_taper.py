@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,6 +13,11 @@ from skfem.helpers import grad
 
 import workbench as wb
 from geometry.chip import Chip, parse_chip
+from workbench.campaign.campaign import Campaign
+from workbench.diagnosis.device import device_model
+from workbench.diagnosis.local_models import LocalModels
+from workbench.diagnosis.not_round import tapered as tapered_device
+from workbench.diagnosis.odds import Criteria
 from workbench.fem.operators import assemble
 from workbench.fem.solve import solve_full
 from workbench.files.errors import InputError
@@ -146,3 +153,22 @@ def test_a_simulation_has_the_taper_in_its_spectrum() -> None:
 def test_a_taper_is_that_of_a_full_plane_disc(taper: str, more: dict[str, str], expected: str) -> None:
     with pytest.raises(InputError, match=expected):
         disc(taper, **more)
+
+
+@pytest.mark.slow
+def test_a_diagnosis_finds_a_taper() -> None:
+    """The recordings are simulated with another mesh, at constants that the campaign does not know."""
+    taper, noise, rng = 20e-6, 1e-3, np.random.default_rng(3)
+    layer = {"thickness": "1.5 mm", "radius": "4 mm"}
+    there = wb.simulate(disc("20 um", **layer), band=(1.2e6, 1.5e6), points=151, accuracy=5e-3).spectrum
+    recordings = [replace(there, impedance=there.impedance * np.exp(noise * (
+        rng.normal(size=there.frequency.size) + 1j * rng.normal(size=there.frequency.size)))) for _ in range(2)]
+    known = {f"pzt4.{name}": "0.5 %" for name in ("c11", "c13", "c33", "c44", "e33", "eps33")}
+    stated = {"chip": replace(disc(**layer), band=(1.2e6, 1.5e6)), "noise": noise}
+    states = {name: {**stated, "recording": each} for name, each in zip(("disc", "again"), recordings, strict=True)}
+    states["again"]["held_out"] = True
+    model = device_model(Campaign(states, known=known), accuracy=1e-2)
+    found = tapered_device(LocalModels(model), model.stated)
+    print(found)
+    assert found.taper == pytest.approx(taper, rel=0.1)
+    assert found.is_accepted(Criteria(), 1.2)
