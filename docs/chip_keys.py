@@ -65,6 +65,7 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "barrel": "how far the outer side bulges half-way up, in a parabola",
         "bow": "how much higher the layer's axis is than its rim, in a parabola; both faces",
         "dome": "how much thicker the layer is on its axis than at its rim, in a parabola of its upper face",
+        "taper": "of a bare transducer: the difference of its thickness across its diameter, see {doc}`features`",
         "profile": "an outline of any shape in place of the disc, see below and {doc}`your_own_shape`",
         "bottom": "height of the lower face, for a check: layers are stacked without it",
         "electrodes": "of a transducer alone, see below",
@@ -203,7 +204,7 @@ TAKES: Mapping[str, str] = {
     "fill": "a length", "offset": "a length", "cavity_offset": "a length", "open": "`true` or `false`",
     **{f"inner_{size}": "a length" for size in ("radius", "diameter", "half_width", "width")},
     "filling": "text", "channels": "a whole number", "pitch": "a length", "poled": "text", "live": "text",
-    "draft": "an angle", "barrel": "a length", "bow": "a length", "dome": "a length",
+    "draft": "an angle", "barrel": "a length", "bow": "a length", "dome": "a length", "taper": "a length",
     **{f"{face}_{name}{size}": "a length" for face in ("live", "ground") for name in ("", "inner_")
        for size in ("radius", "diameter", "half_width", "width")},
     **{f"{name}{size}": "a length" for name in ("", "cavity_", "particle_")
