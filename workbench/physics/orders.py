@@ -73,7 +73,7 @@ class OfOrder(Term):
         if integral.variant:
             raise ModelError(f"{self.term!r} has lengths as parameters; orders of fields need a section as it is")
         products: dict[int, list[Product]] = {}
-        for each in products_of_orders(integral):
+        for each in products_of_orders(integral, self.term):
             for power, row in by_order(each.row):
                 for further, column in by_order(each.column):
                     products.setdefault(power + further, []).append(Product(row, column, each.weight))
@@ -92,12 +92,12 @@ class OfOrder(Term):
         return self.term.fixed()
 
 
-def products_of_orders(integral: Integral) -> tuple[Product, ...]:
+def products_of_orders(integral: Integral, owner: object = None) -> tuple[Product, ...]:
     """The products of an integral, with those of components along s.
 
     Raises
     ------
-    ModelError : the integral is not isotropic about the axis.
+    ModelError : the integral, or its `owner` if given, is not isotropic about the axis.
     """
     further, weights = list[Product](), dict[tuple[str, str], float]()
     for each in integral.products:
@@ -105,11 +105,11 @@ def products_of_orders(integral: Integral) -> tuple[Product, ...]:
         if one and other:
             further.append(Product(one[0], other[0], each.weight * one[1] * other[1]))
         elif one or other:
-            raise ModelError(f"{integral!r} has {each}, which is no scalar about the axis: it has no other orders")
+            raise ModelError(f"{owner or integral!r} has {each}, which is no scalar about the axis: it has no other orders")
         pair = (each.row, each.column) if each.row <= each.column else (each.column, each.row)
         weights[pair] = weights.get(pair, 0.0) + each.weight
     if weights.get(("strain_rr", "strain_rr"), 0.0) != weights.get(("strain_tt", "strain_tt"), 0.0):
-        raise ModelError(f"{integral!r} is not isotropic about the axis: it has no other orders")
+        raise ModelError(f"{owner or integral!r} is not isotropic about the axis: it has no other orders")
     shear = sum(weights.get(pair, 0.0) * weight for pair, weight in _SHEAR.items())
     if shear:
         further.append(Product("strain_rs", "strain_rs", shear))
