@@ -105,7 +105,8 @@ def products_of_orders(integral: Integral, owner: object = None) -> tuple[Produc
         if one and other:
             further.append(Product(one[0], other[0], each.weight * one[1] * other[1]))
         elif one or other:
-            raise ModelError(f"{owner or integral!r} has {each}, which is no scalar about the axis: it has no other orders")
+            raise ModelError(f"{owner or integral!r} has {each}, which is no scalar about the axis: it has no other "
+                             "orders")
         pair = (each.row, each.column) if each.row <= each.column else (each.column, each.row)
         weights[pair] = weights.get(pair, 0.0) + each.weight
     if weights.get(("strain_rr", "strain_rr"), 0.0) != weights.get(("strain_tt", "strain_tt"), 0.0):
