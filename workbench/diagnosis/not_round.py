@@ -114,7 +114,7 @@ class NotRoundFound:
     @property
     def in_words(self) -> str:
         """The cause in a sentence."""
-        return f"{self.cause} explains {100.0 * self.share:.3g} % of the residual: the device is not round"
+        return f"{self.cause}, explains {100.0 * self.share:.3g} % of the residual: the device is not round"
 
     @property
     def finding(self) -> str:
@@ -143,7 +143,7 @@ class PartFound(NotRoundFound):
     @property
     def cause(self) -> str:
         return (f"a part of {1e6 * self.mass:.2g} mg on the transducer, {1e3 * self.distance:.2f} mm from its axis and "
-                f"{1e3 * self.diameter:.2f} mm wide,")
+                f"{1e3 * self.diameter:.2f} mm wide")
 
 
 @dataclass(frozen=True)
