@@ -23,7 +23,7 @@ from geometry.profile import Outline, Profile
 from workbench.files.errors import InputError, choose
 from workbench.files.names import check_name, check_title
 
-#: Largest taper over the thickness of a disc: squares of a twentieth, on either side of the mean, are left out.
+#: Largest taper over the thickness of a disc: cubes of a twentieth, on either side of the mean, are left out.
 TAPER = 0.1
 
 
@@ -127,7 +127,7 @@ def check_taper(layers: Sequence[Layer], features: Sequence[Feature], measure: M
                              "features")
         if not 0.0 < layer.taper <= largest:
             raise InputError(file, place, shown, f"a difference of thickness up to {millimetres(largest)}, a tenth of "
-                             "the thickness: the coupling of the orders is linear in it")
+                             "the thickness: higher powers of it than the square are left out")
 
 
 def _beside_holes(layer: Layer) -> float:

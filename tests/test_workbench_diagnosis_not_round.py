@@ -16,7 +16,16 @@ from workbench.campaign.campaign import read_campaign
 from workbench.diagnosis import appraisal, not_round
 from workbench.diagnosis.device import device_model
 from workbench.diagnosis.local_models import LocalModels
-from workbench.diagnosis.not_round import NULL, Joint, PartFound, TaperFound, can_be_located, located, robust
+from workbench.diagnosis.not_round import (
+    NULL,
+    Joint,
+    PartFound,
+    TaperFound,
+    Without,
+    can_be_located,
+    located,
+    robust,
+)
 from workbench.diagnosis.odds import Criteria
 from workbench.fem.operators import assemble
 from workbench.fem.patch import Patch
@@ -112,7 +121,7 @@ def test_a_part_is_found_at_its_place(trial: tuple[Path, dict[str, float]], monk
     monkeypatch.setattr(not_round, "PROJECTED", 1)
     model = device_model(read_campaign(trial[0]))
     assert can_be_located(model)
-    found = located(LocalModels(model), model.stated)
+    found = located(Without.of(LocalModels(model), model.stated))
     assert found.distance == pytest.approx(trial[1]["distance"], rel=0.02)
     assert found.mass == pytest.approx(trial[1]["mass"], rel=0.25)
     assert found.is_accepted(Criteria(), 1.2)
@@ -140,7 +149,7 @@ def test_a_search_ends_early_if_no_place_is_evident(
     monkeypatch.setattr(not_round, "Joint", SimpleNamespace(of=lambda *_: SimpleNamespace(optimum=optimum)))
     monkeypatch.setattr(not_round, "_gain_held_out", lambda *_: 0.0)
     monkeypatch.setattr(not_round, "_projected", projected_there)
-    assert located(models, models.model.stated).gain == pytest.approx(gain)
+    assert located(Without.of(models, models.model.stated)).gain == pytest.approx(gain)
     assert len(went_on) == projected
 
 
@@ -169,6 +178,7 @@ def test_a_search_that_fails_is_not_tried(monkeypatch: pytest.MonkeyPatch) -> No
 
     taper = TaperFound(50.0, 20.0, 31.0, 2.0, 4, 20e-6)
     monkeypatch.setattr(appraisal, "located", fails)
+    monkeypatch.setattr(appraisal, "Without", SimpleNamespace(of=lambda *_: object()))
     monkeypatch.setattr(appraisal, "tapered", lambda *_: taper)
     monkeypatch.setattr(appraisal, "replace", lambda old, **new: SimpleNamespace(**{**vars(old), **new}))
     null = SimpleNamespace(hypothesis=NULL, explanation=SimpleNamespace(x=np.zeros(1)))

@@ -16,6 +16,7 @@ from geometry.chip import Chip, parse_chip
 from workbench.campaign.campaign import Campaign
 from workbench.diagnosis.device import device_model
 from workbench.diagnosis.local_models import LocalModels
+from workbench.diagnosis.not_round import Without
 from workbench.diagnosis.not_round import tapered as tapered_device
 from workbench.diagnosis.odds import Criteria
 from workbench.fem.operators import assemble
@@ -168,7 +169,7 @@ def test_a_diagnosis_finds_a_taper() -> None:
     states = {name: {**stated, "recording": each} for name, each in zip(("disc", "again"), recordings, strict=True)}
     states["again"]["held_out"] = True
     model = device_model(Campaign(states, known=known), accuracy=1e-2)
-    found = tapered_device(LocalModels(model), model.stated)
+    found = tapered_device(Without.of(LocalModels(model), model.stated))
     print(found)
     assert found.taper == pytest.approx(taper, rel=0.1)
     assert found.is_accepted(Criteria(), 1.2)

@@ -8,7 +8,6 @@ from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workbench.campaign.assignment import check_assignment
 from workbench.campaign.campaign import Campaign
@@ -20,7 +19,7 @@ from workbench.diagnosis.findings import Found, NotTried
 from workbench.diagnosis.inference import DiagnosisSearch
 from workbench.diagnosis.local_models import LocalModels
 from workbench.diagnosis.next_measurement import options
-from workbench.diagnosis.not_round import NotRoundFound, can_be_located, located, tapered
+from workbench.diagnosis.not_round import NotRoundFound, Without, can_be_located, located, tapered
 from workbench.diagnosis.observed import NotObservable
 from workbench.diagnosis.odds import Criteria
 from workbench.diagnosis.outcome import Diagnosis
@@ -32,8 +31,6 @@ from workbench.jobs.workers import Workers, begin_workers, check_jobs
 from workbench.model.discretisation import ACCURACY, Discretisation
 from workbench.simulation.features import OrdersNotConverged
 from workbench.simulation.taper import TaperNotConverged
-
-Real = NDArray[np.float64]
 
 
 def diagnose(
@@ -105,14 +102,15 @@ def with_cause_not_round(diagnosis: Diagnosis, models: LocalModels, progress: Pr
     They are a taper and a part beside the axis. If one of them is accepted, it is the verdict; of both, the likelier
     one.
     """
-    searches: dict[str, Callable[[LocalModels, Real, Progress], NotRoundFound]] = {
+    searches: dict[str, Callable[[Without, Progress], NotRoundFound]] = {
         "a taper": tapered, "a part beside the axis": located}
     null = next(each for each in diagnosis.found.final if not each.hypothesis.effects
                 and not each.hypothesis.is_outside)
-    found = list[NotRoundFound]()
+    found, start = list[NotRoundFound](), None
     for name, search in searches.items():
         try:
-            found.append(search(models, null.explanation.x, progress))
+            start = start or Without.of(models, null.explanation.x)
+            found.append(search(start, progress))
         except (NotConverged, OrdersNotConverged, TaperNotConverged, ValueError, KeyboardInterrupt) as error:
             diagnosis = replace(diagnosis, found=replace(diagnosis.found, not_tried=(
                 *diagnosis.found.not_tried, NotTried(name, str(error) or "it was interrupted"))))

@@ -172,25 +172,45 @@ def can_be_located(model: Model) -> bool:
                and state.observation is None for state in (*states, *model.campaign.held_out))
 
 
-def located(models: LocalModels, x: Real, progress: Progress = no_progress) -> PartFound:
-    """The likeliest part on the upper face of a bare transducer.
+@dataclass(frozen=True, eq=False)
+class Without:
+    """The fit of the known parameters alone, where the searches begin.
 
-    The search begins at x (p,), the optimum of the known parameters alone.
+    The optimum x (p,) and its ``cost`` are those of errors with heavy tails.
+    """
+
+    models: LocalModels
+    likelihood: Likelihood
+    x: Real
+    cost: float
+
+    @classmethod
+    def of(cls, models: LocalModels, x: Real) -> Without:
+        """The fit from an optimum x (p,) of least squares."""
+        reach = np.array([parameter.prior or 0.0 for parameter in models.model.parameters])
+        likelihood = models.near(NULL, x, reach)
+        return cls(models, likelihood, *robust(likelihood, x))
+
+    @property
+    def reduced(self) -> float:
+        """The mean reduced chi-square."""
+        return _reduced(self.likelihood.states, self.likelihood.data(NULL, self.x).log_ratio)
+
+
+def located(start: Without, progress: Progress = no_progress) -> PartFound:
+    """The likeliest part on the upper face of a bare transducer.
 
     Raises
     ------
     NotConverged, OrdersNotConverged : the orders of the device cannot be solved.
     """
-    model = models.model
-    reach = np.array([parameter.prior or 0.0 for parameter in model.parameters])
-    likelihood = models.near(NULL, x, reach)
+    model, likelihood, null = start.models.model, start.likelihood, start.x
     states = likelihood.states
     radius = float(states[0].chip.transducer.radius.value)
     distances = np.linspace(DIAMETER, radius - 0.6 * DIAMETER, DISTANCES)
     layer, material = states[0].chip.transducer, states[0].materials[TRANSDUCER]
     heaviest = HEAVIEST * float(np.real(material.density)) * math.pi * radius**2 * layer.thickness.value
     masses = np.geomspace(LIGHTEST, heaviest, 1 + math.ceil(PER_DECADE * math.log10(heaviest / LIGHTEST)))
-    null, without = robust(likelihood, x)
     joint = Joint.of(model, likelihood, null, distances, math.log(heaviest))
     ends = list[_End]()
     for k in range(DISTANCES):
@@ -200,45 +220,39 @@ def located(models: LocalModels, x: Real, progress: Progress = no_progress) -> P
     for share, (count, rounds, moves) in zip((0.5, 0.7), CONTINUED, strict=True):
         progress("a part beside the axis", share)
         ends = [joint.optimum(end.x, end.z, rounds, moves=moves) for end in _leading(ends, count)]
-        if without - min(end.cost for end in ends) < math.log(tried):
+        if start.cost - min(end.cost for end in ends) < math.log(tried):
             # No place among so many is evident, and the further ends would be of no use.
             final = [(min(ends, key=lambda each: each.cost), distances, 0.0)]
             break
     for end in () if final else _leading(ends, PROJECTED):
         progress("a part beside the axis", 0.9)
         own, near = _projected(model, likelihood, end, distances, radius, math.log(heaviest))
-        final.append((own, near, _gain_held_out(models, null, own, near)))
+        final.append((own, near, _gain_held_out(start, own, near)))
     end, places, held_out = min(final, key=lambda each: each[0].cost)
-    before = likelihood.data(NULL, null).log_ratio
-    return PartFound(without - end.cost, held_out, _reduced(states, before), end.reduced, tried,
+    return PartFound(start.cost - end.cost, held_out, start.reduced, end.reduced, tried,
                      float(np.interp(end.z[3], np.arange(places.size), places)), math.exp(float(end.z[0])),
                      diameter_of(end.z), SHIFT * float(end.z[1]))
 
 
-def tapered(models: LocalModels, x: Real, progress: Progress = no_progress) -> TaperFound:
+def tapered(start: Without, progress: Progress = no_progress) -> TaperFound:
     """The likeliest taper of a bare transducer.
-
-    The search begins at x (p,), the optimum of the known parameters alone.
 
     Raises
     ------
     NotConverged, TaperNotConverged : the orders of the device cannot be solved.
     """
-    model = models.model
-    likelihood = models.near(NULL, x, np.array([each.prior or 0.0 for each in model.parameters]))
-    null, without = robust(likelihood, x)
+    model, likelihood = start.models.model, start.likelihood
     thickness = float(likelihood.states[0].chip.transducer.thickness.value)
-    fit = Joint.of_taper(model, likelihood, null)
+    fit = Joint.of_taper(model, likelihood, start.x)
     ends = list[_End]()
     for k, share in enumerate(SHARES):
         progress("a taper", 0.8 * k / len(SHARES))
-        ends.append(fit.optimum(null, np.array([share]), 1, moves=False))
+        ends.append(fit.optimum(start.x, np.array([share]), 1))
     end = min(ends, key=lambda each: each.cost)
     progress("a taper", 0.8)
-    end = Joint.of_taper(model, likelihood, end.x).optimum(end.x, end.z, ROUNDS, moves=False)
-    before = likelihood.data(NULL, null).log_ratio
-    gain = _gain_in(models, null, end, lambda there: Joint.of_taper(models.model, there, end.x))
-    return TaperFound(without - end.cost, gain, _reduced(likelihood.states, before), end.reduced, len(ends),
+    end = Joint.of_taper(model, likelihood, end.x).optimum(end.x, end.z, ROUNDS)
+    gain = _gain_in(start, end, lambda there: Joint.of_taper(model, there, end.x))
+    return TaperFound(start.cost - end.cost, gain, start.reduced, end.reduced, len(ends),
                       2.0 * float(end.z[0]) * thickness)
 
 
@@ -259,22 +273,22 @@ def _projected(
     return end, places
 
 
-def _gain_held_out(models: LocalModels, null: Real, end: _End, distances: Real) -> float:
+def _gain_held_out(start: Without, end: _End, distances: Real) -> float:
     """The fall of the cost of states held out by a part."""
-    return _gain_in(models, null, end, lambda there: Joint.of(models.model, there, end.x, distances, math.inf,
-                                                              diameter_of(end.z)))
+    return _gain_in(start, end, lambda there: Joint.of(start.models.model, there, end.x, distances, math.inf,
+                                                       diameter_of(end.z)))
 
 
-def _gain_in(models: LocalModels, null: Real, end: _End, fit: Callable[[Likelihood], Joint]) -> float:
+def _gain_in(start: Without, end: _End, fit: Callable[[Likelihood], Joint]) -> float:
     """The fall of the cost of the states held out.
 
     The parameters are those of the fits. It is 0 without such states.
     """
-    if models.model.held_out is None:
+    if start.models.model.held_out is None:
         return 0.0
-    reach = np.zeros(null.size)
-    without, there = (models.near(NULL, x, reach, held_out=True) for x in (null, end.x))
-    before = without.data(NULL, null).log_ratio
+    reach = np.zeros(start.x.size)
+    without, there = (start.models.near(NULL, x, reach, held_out=True) for x in (start.x, end.x))
+    before = without.data(NULL, start.x).log_ratio
     after = [residual for residual, _ in fit(there).residuals(there.search(NULL), end.x, end.z)]
     return (_heavy_tailed(before, _spreads(there.states, before))
             - _heavy_tailed(after, _spreads(there.states, after)))
@@ -387,7 +401,8 @@ class _StateTaper(_State):
 
     def change(self, model: Model, x: Real, z: Real, free: NDArray[np.int64]) -> tuple[Complex, Complex]:
         frequency, values = self.state.measured.frequency, self.values(model, x)
-        plain, own = (self.disc.response(values, frequency, share) for share in (0.0, float(z[0])))
+        plain, own = (disc.response(values, frequency, share) for disc, share in (
+            (self.disc.plane, 0.0), (self.disc, float(z[0]))))
         pairs, scale = self.pairs(model, x, free)
         slopes = np.stack([*((plain.by_values(*pair) / plain.charge - own.by_values(*pair) / own.charge) / size
                              for pair, size in zip(pairs, scale, strict=True)), -own.by_share / own.charge], axis=1)

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from workbench.fem.dense import chebyshev
+from workbench.fem.dense import chebyshev, directions_outside
 from workbench.fem.half_space import FITTED, HalfSpace, half_space_constants
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.patch import AWAY, UP, Patch, patch_forms
@@ -469,18 +469,8 @@ def _order(
         change = system.change(float(frequency), float(frequency) * 1.01)
         vectors = [states, *(krylov(factor, change, np.append(each, 1.0 if each is starts[-1] and number == 0 else 0.0),
                                     DEPTH) for each in starts)]
-        basis = np.hstack([basis, _outside(np.hstack(vectors) / scale, basis)])
+        basis = np.hstack([basis, directions_outside(np.hstack(vectors) / scale, basis, DEPENDENT)])
     whole = np.zeros((len(loads) + 1, basis.shape[1] + 1))
     whole[:-1, :-1], whole[-1, -1] = scale * basis, 1.0
     reduced = ReducedOperators(operators.integrals, operators.coefficients, operators.project(whole), operators.forms)
     return _Order(number, reduced, np.stack([whole[:-1, :-1].T @ form for form in forms]), which)
-
-
-def _outside(vectors: Complex | Real, basis: Real) -> Real:
-    """Orthonormal real directions of complex vectors outside a basis."""
-    vectors = vectors / np.linalg.norm(vectors, axis=0)
-    parts = np.hstack([vectors.real, vectors.imag])
-    for _ in range(2):
-        parts = parts - basis @ (basis.T @ parts)
-    columns, sizes, _ = np.linalg.svd(parts, full_matrices=False)
-    return np.asarray(columns[:, sizes > DEPENDENT])

@@ -166,6 +166,19 @@ def _krylov(whole: Complex, change: Complex, right: Complex, depth: int) -> Comp
     return found
 
 
+def directions_outside(vectors: Complex | Real, basis: Real, smallest: float) -> Real:
+    """Orthonormal real directions of complex vectors outside a basis.
+
+    Parts of a vector below the share `smallest` of it are left out.
+    """
+    vectors = vectors / np.linalg.norm(vectors, axis=0)
+    parts = np.hstack([vectors.real, vectors.imag])
+    for _ in range(2):
+        parts = parts - basis @ (basis.T @ parts)
+    columns, sizes, _ = np.linalg.svd(parts, full_matrices=False)
+    return np.asarray(columns[:, sizes > smallest])
+
+
 def chebyshev(count: int, nodes: int) -> NDArray[np.int64]:
     """Indices of the frequencies next to Chebyshev nodes, without repetition."""
     angles = np.pi * (np.arange(nodes) + 0.5) / nodes

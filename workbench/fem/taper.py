@@ -76,8 +76,9 @@ class TaperForms:
         ModelError : an integral has an operator that a taper does not know.
         """
         place, across, along = _lengths(lower)
-        # The mean over the angle of cos t cos m t cos (m + 1) t; weights of higher orders have a half for their square.
-        weights = (0.5 if order == 0 else 0.5 * 0.5 * 2.0) * place.weights
+        # The mean over the angle of cos t cos m t cos (m + 1) t is a half for order 0, and a quarter for higher ones,
+        # whose weights have a half already.
+        weights = 0.5 * place.weights
         sums = np.array([_coupled(integral, order) for integral in integrals])
         return cls(_evaluation(upper, upper.places[TRANSDUCER]), _evaluation(lower, place),
                    ((weights * across).ravel(), (weights * along).ravel()), (sums[:, 0], sums[:, 1]))

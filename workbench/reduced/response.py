@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workbench.fem.dense import solve_dense
+from workbench.fem.dense import directions_outside, solve_dense
 from workbench.fem.reduced_operators import ReducedOperators
 from workbench.fem.solve import System, krylov, one_thread
 from workbench.files.quantities import frequency_text
@@ -88,7 +88,8 @@ def _response(system: System, loads: Real, frequencies: Real, tolerance: float) 
         if frequencies.size == 1:
             # Its states are the response.
             scale = factor.scale[:, None]
-            return _projected(system, loads, scale * _outside(states / scale, basis), factors, 0.0)
+            own = directions_outside(states / scale, basis, DEPENDENT)
+            return _projected(system, loads, scale * own, factors, 0.0)
         if found is not None:
             error = float(np.abs(found.compliance[at] - exact).max() / np.abs(exact).max())
         vectors = [states]
@@ -97,7 +98,7 @@ def _response(system: System, loads: Real, frequencies: Real, tolerance: float) 
                     for state, own in zip(states.T, loads[free:].T, strict=True)]
         if found is None:
             scale = factor.scale[:, None]
-        basis = np.hstack([basis, _outside(np.hstack(vectors) / scale, basis)])
+        basis = np.hstack([basis, directions_outside(np.hstack(vectors) / scale, basis, DEPENDENT)])
         before, found = found, _projected(system, loads, scale * basis, factors, error)
         if before is not None:
             size = np.abs(found.compliance).max(axis=(1, 2))
@@ -119,15 +120,6 @@ def _next(frequencies: Real, change: Real, done: list[int]) -> int:
     apart = np.abs(frequencies[:, None] - frequencies[done]).min(axis=1)
     return int(np.argmax(apart * change))
 
-
-def _outside(vectors: Complex, basis: Real) -> Real:
-    """Orthonormal real directions of complex vectors outside a basis."""
-    vectors = vectors / np.linalg.norm(vectors, axis=0)
-    parts = np.hstack([vectors.real, vectors.imag])
-    for _ in range(2):
-        parts = parts - basis @ (basis.T @ parts)
-    columns, sizes, _ = np.linalg.svd(parts, full_matrices=False)
-    return np.asarray(columns[:, sizes > DEPENDENT])
 
 
 def _projected(system: System, loads: Real, basis: Real, factors: Complex, error: float) -> LoadResponse:

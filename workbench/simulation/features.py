@@ -134,14 +134,12 @@ def spectrum_with(
     between = compliance_of(posed, [part.patch for part in parts], np.array([part.angle for part in parts]),
                             found.frequency, progress=progress)
     change = charge_change(parts, found.frequency, driven, between.total)
-    before, charge = found.impedance, found.solution.charge
-    impedance = before * charge / (charge + change)
-    changes = 100.0 * np.abs(np.log(impedance / before))
-    at = int(changes.argmax())
+    charge = found.solution.charge
+    changed = replace(found, impedance=found.impedance * charge / (charge + change))
     listed = "; ".join(map(str, chip.features))
-    return replace(found, impedance=impedance), (
-        f"{listed}: ln Z changes by {changes[at]:.3g} % at {found.frequency[at] / 1e6:.6g} MHz and less at the other "
-        f"frequencies ({between.orders} orders, the last ones moved the compliance by {100.0 * between.moved:.1g} %)",
+    return changed, (
+        f"{listed}: {changed.change_from(found)} ({between.orders} orders, the last ones moved the compliance by "
+        f"{100.0 * between.moved:.1g} %)",
         "the fields of the section, energies, traps, heat and the modes of peaks are those of the chip without its "
         "features")
 

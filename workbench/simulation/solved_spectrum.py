@@ -63,6 +63,13 @@ class SolvedSpectrum(Brief):
     model: ReducedModel | None = None
     solution: Solution | None = None
 
+    def change_from(self, other: SolvedSpectrum) -> str:
+        """The largest change of ln Z from another spectrum in words."""
+        changes = 100.0 * np.abs(np.log(self.impedance / other.impedance))
+        at = int(changes.argmax())
+        return (f"ln Z changes by {changes[at]:.3g} % at {self.frequency[at] / 1e6:.6g} MHz and less at the other "
+                "frequencies")
+
 
 def frequency_grid(band: tuple[float, float], points: int, *, source: str) -> Real:
     """Equally spaced frequencies (points,) in Hz over `band`, ends included.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from geometry.chip import Chip
 from geometry.dimension import millimetres
-from workbench.fem.dense import chebyshev
+from workbench.fem.dense import chebyshev, directions_outside
 from workbench.fem.forms import bilinear
 from workbench.fem.operators import FullOperators, assemble
 from workbench.fem.reduced_operators import ReducedOperators
@@ -94,6 +94,11 @@ class TaperedDisc:
                 else:
                     count *= 2
                 before = after
+
+    @property
+    def plane(self) -> TaperedDisc:
+        """Its order 0 alone, which has the charge without a taper."""
+        return replace(self, orders=self.orders[:1], couplings=())
 
     def charge(self, values: Values, frequencies: Real, share: float) -> Complex:
         """The charge (n,) in C at 1 V, e^{-i w t}."""
@@ -208,7 +213,8 @@ class _Chain:
                 load = self._couplings[k].load(constants, chain[k + 1], upwards=False)
                 fields[k].append(np.vstack([_loaded(factors[k], load), np.zeros(load.shape[1])]))
         scales = [each.scale for each in factors]
-        bases = [_basis(np.hstack(each)[:-1], scale) for each, scale in zip(fields, scales, strict=True)]
+        bases = [scale[:, None] * directions_outside(np.hstack(each)[:-1] / scale[:, None], np.zeros((scale.size, 0)),
+                                                     DEPENDENT) for each, scale in zip(fields, scales, strict=True)]
         bases = [np.vstack([each, np.zeros(each.shape[1])]) for each in bases]
         bases[0] = np.column_stack([bases[0], np.eye(len(bases[0]))[:, -1]])
         models = [ReducedOperators(each.integrals, each.coefficients, each.project(basis), each.forms)
@@ -236,14 +242,6 @@ def _loaded(factor: Factor, loads: Complex) -> Complex:
     return -scale * factor.solve_scaled(scale * loads[:-1])
 
 
-def _basis(fields: Complex, scale: Real) -> Real:
-    """Real directions (size, r) of fields (size, n), independent in scaled unknowns."""
-    columns = np.hstack([fields.real, fields.imag]) / scale[:, None]
-    columns = columns[:, np.abs(columns).max(axis=0) > 0.0]
-    directions, sizes, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
-    return np.asarray(scale[:, None] * directions[:, sizes > DEPENDENT * sizes[0]])
-
-
 def _change(one: Complex, other: Complex) -> float:
     return float(np.abs(np.log(one / other)).max())
 
@@ -260,11 +258,8 @@ def spectrum_with_taper(
     layer = chip.transducer
     share = 0.5 * layer.taper / layer.thickness.value
     disc = TaperedDisc.of(problem, found.frequency, share, progress)
-    plain, tapered = (disc.charge(problem.values, found.frequency, each) for each in (0.0, share))
-    impedance = found.impedance * plain / tapered
-    changes = 100.0 * np.abs(np.log(impedance / found.impedance))
-    at = int(changes.argmax())
-    return replace(found, impedance=impedance), (
-        f"the thickness of {layer.region} varies by {millimetres(layer.taper)} across it: ln Z changes by "
-        f"{changes[at]:.3g} % at {found.frequency[at] / 1e6:.6g} MHz and less at the other frequencies "
+    plain = disc.plane.charge(problem.values, found.frequency, 0.0)
+    changed = replace(found, impedance=found.impedance * plain / disc.charge(problem.values, found.frequency, share))
+    return changed, (
+        f"the thickness of {layer.region} varies by {millimetres(layer.taper)} across it: {changed.change_from(found)} "
         f"({len(disc.orders)} orders); the fields are those of the plane-parallel disc")
