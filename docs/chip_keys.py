@@ -20,17 +20,17 @@ from workbench.files.quantities import UNITS
 #: What every key says, by table.
 ABOUT: Mapping[str, Mapping[str, str]] = {
     "The file": {
-        "chip": "what the whole is called, and the band it is meant for",
+        "chip": "name, geometry, band and drive of the chip",
         "layers": "the layers from bottom to top, each under `[[layers]]`",
         "cavity": "the ports of the cavity, and whether it is an open well",
         "features": "parts beside the axis of a round chip, each under `[[features]]`",
         "states": "the states a chip is used in, each under `[states.NAME]`; without any there is one, `default`",
     },
     "`[chip]`": {
-        "name": "what the chip is called in reports",
-        "description": "what it is, in words",
+        "name": "name of the chip in reports",
+        "description": "a sentence about the chip",
         "source": "where the description comes from",
-        "band": 'the frequencies it is meant for, such as `["0.91 MHz", "1.155 MHz"]`',
+        "band": 'the frequencies the chip is meant for, such as `["0.91 MHz", "1.155 MHz"]`',
         "operating_point": "the frequency that the chip is driven at: `energy` (if not given), `f0`, or a frequency "
                            "such as `1.94 MHz`",
         "unusual": "names of sizes that are meant although no such part has them, such as `[\"couplant.thickness\"]`; "
@@ -49,23 +49,23 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "fill": "the depth of the liquid in an open well; all of it if not given",
     },
     "`[[layers]]`": {
-        "role": "what the layer is for, one of " + ", ".join(f"`{role}`" for role in ROLES)
+        "role": "purpose of the layer, one of " + ", ".join(f"`{role}`" for role in ROLES)
                 + "; roles may be left out and repeated, but there is a transducer",
         "material": "the name of a material, such as `pla/acevedo_2026`, or `pla` where that is clear",
-        "density": "of a part that was weighed, in place of its material's",
-        "thickness": "of the layer",
-        "radius": "of the layer; it may differ from layer to layer",
+        "density": "density of a part that was weighed, in place of its material's",
+        "thickness": "thickness of the layer",
+        "radius": "radius of the layer; it may differ from layer to layer",
         "diameter": "twice the radius, in place of it",
         "cavity_radius": "a hole that belongs to the cavity; holes are in neighbouring layers",
         "cavity_diameter": "twice that radius, in place of it",
-        "inner_radius": "of a ring around a bore that holds nothing, or is a part of a further cavity",
+        "inner_radius": "inner radius of a ring around a bore that is empty, or is a part of a further cavity",
         "filling": "material of that further cavity, in all layers around it; a state may replace it, as `cavity_2`",
         "inner_diameter": "twice that radius, in place of it",
         "draft": "the angle by which the hole grows wider upwards, where its wall is not upright",
         "barrel": "how far the outer side bulges half-way up, in a parabola",
-        "bow": "how much higher the layer's axis is than its rim, in a parabola; both faces",
-        "dome": "how much thicker the layer is on its axis than at its rim, in a parabola of its upper face",
-        "taper": "of a bare transducer: the difference of its thickness across its diameter, see {doc}`features`",
+        "bow": "how much higher the layer is on its axis than at its edge, in a parabola; both faces",
+        "dome": "how much thicker the layer is on its axis than at its edge, in a parabola of its upper face",
+        "taper": "difference of thickness across the diameter, of a bare transducer alone, see {doc}`features`",
         "profile": "an outline of any shape in place of the disc, see below and {doc}`your_own_shape`",
         "bottom": "height of the lower face, for a check: layers are stacked without it",
         "electrodes": "of a transducer alone, see below",
@@ -75,19 +75,19 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "role": "as of a round chip",
         "material": "as of a round chip",
         "density": "as of a round chip",
-        "thickness": "of the layer",
+        "thickness": "thickness of the layer",
         "half_width": "from the middle of the chip to the side of the layer; it may differ from layer to layer",
         "width": "twice that, in place of it",
-        "cavity_half_width": "of a channel through the layer, from its middle; channels are in neighbouring layers",
+        "cavity_half_width": "half width of a channel through the layer; channels are in neighbouring layers",
         "cavity_width": "twice that, in place of it",
-        "inner_half_width": "of a bore along the chip that holds nothing, or is a part of a further cavity",
+        "inner_half_width": "half width of a bore along the chip that is empty, or is a part of a further cavity",
         "inner_width": "twice that, in place of it",
         "filling": "as of a round chip",
         "bottom": "as of a round chip",
         "offset": "how far its middle is to the right of that of a chip with `symmetry = \"none\"`; 0 if not given",
         "cavity_offset": "the same of the channel, or of a bore",
-        "channels": "number of equal channels side by side; 1 if not given. All lie about the same middle",
-        "pitch": "of several, the distance between the middles of neighbours",
+        "channels": "number of equal channels side by side; 1 if not given. Their common middle is that of the layer",
+        "pitch": "distance between the middles of neighbouring channels",
         "draft": "the angle by which the channel grows wider upwards: 35.26 deg of silicon etched by KOH",
         "barrel": "as of a round chip, to both sides",
         "bow": "as of a round chip, with the middle of the layer in place of the axis",
@@ -117,7 +117,7 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
     },
     "`electrodes`, of the transducer's layer": {
         "live": "the face at the drive voltage, `top` (if not given) or `bottom`; the other one is ground",
-        "live_radius": "where that electrode ends, if before the rim",
+        "live_radius": "where that electrode ends, if before the edge of the disc",
         "live_inner_radius": "where it begins, if it is a ring",
         "ground_radius": "the same of the ground electrode",
         "ground_inner_radius": "the same of the ground electrode",
@@ -129,16 +129,16 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
     "`profile`, of a layer": {
         "points": "the outline: three or more points, each `[\"r\", \"z\"]` or a table, see below",
         "script": "a Python file beside the chip file that draws the layer with CadQuery",
-        "function": "its function, which gets by name the sizes it asks for, in millimetres and degrees",
+        "function": "its function; arguments are sizes by name, in millimetres and degrees",
         "step": "a STEP file beside the chip file",
         "part": "the name of the solid in it",
-        "scale": "how long one is that the STEP file counts; `1 mm` if not given",
+        "scale": "length of one unit of the STEP file; `1 mm` if not given",
         "parameters": "sizes by name, lengths or angles, that points or the function use; dimensions of the chip",
         "axis": "the direction in a script or file that points up through the chip, about which the solid turns: `x`, "
                 "`y`, `z` (if not given), `-x`, `-y`, `-z`, or three numbers",
         "origin": "the point x, y, z on that axis from which heights are counted; that of the file if not given",
-        "sector": "the angle within which the solid is, where it is a part of a body that turns: `180 deg` for one "
-                  "half, as models with a plane of symmetry have it",
+        "sector": "angle of the solid, where it is a part of a body of revolution: `180 deg` for one half, as models "
+                  "with a plane of symmetry have it",
         "asymmetry": "share of the solid's volume that may differ from its section turned about the axis; 1e-6 if not "
                      "given",
     },
@@ -153,33 +153,34 @@ ABOUT: Mapping[str, Mapping[str, str]] = {
         "kind": "`mass` (solder, glue), `spring` (a wire, a point support) or `gap` (a place without electrode)",
         "layer": "region of the layer; `transducer` if not given",
         "face": "its plane face, `top` (if not given) or `bottom`; nothing else touches it there, except at a gap",
-        "distance": "of its centre from the axis",
+        "distance": "distance of its centre from the axis",
         "angle": "its place around the axis; 0 if not given",
-        "diameter": "of the round patch that it covers and moves as a whole, or of the gap",
-        "mass": "of a mass",
-        "stiffness": "of a spring to a fixed point, equal in all directions",
-        "loss": "of a spring: the imaginary part of the stiffness, as a share; 0 if not given",
+        "diameter": "diameter of the round patch that it covers and moves as a whole, or of the gap",
+        "mass": "mass of a `mass`",
+        "stiffness": "stiffness of a `spring` to a fixed point, equal in all directions",
+        "loss": "loss of a `spring`: imaginary part over real part of its stiffness; 0 if not given",
     },
     "`ports`, of the cavity": {
-        "diameter": "of the channels from the cavity to the outside; only the solid model has them",
-        "height": "of their axes above the floor of the cavity; half-way up its tallest layer if not given",
-        "count": "how many, from 1 to 8; 2 if not given",
+        "diameter": "diameter of the channels from the cavity to the outside; only the solid model has them",
+        "height": "height of their axes above the floor of the cavity; half-way up its tallest layer if not given",
+        "count": "number of ports, from 1 to 8; 2 if not given",
     },
     "`[states.NAME]`": {
-        "cavity": 'what fills the cavity: a material, or `"vacuum"` for nothing; needed where there is one',
-        "temperature": "of what fills the cavity",
+        "cavity": 'material in the cavity, or `"vacuum"` for nothing; needed where there is a cavity',
+        "temperature": "temperature of the cavity's fluid",
         "materials": "materials of single regions in this state, by the region's name",
         "particle": "the material of a particle, for potential and traps",
         "particle_radius": "its radius; both or neither",
         "particle_diameter": "twice that radius, in place of it",
-        "reported": "figures that somebody reported, for comparison: `[[states.NAME.reported]]`",
+        "reported": "reported figures, for comparison: `[[states.NAME.reported]]`",
     },
     "`[[states.NAME.reported]]`": {
-        "label": "who reported them", "f0": "resonance frequency", "z_min": "smallest impedance",
+        "label": "source of the figures", "f0": "resonance frequency", "z_min": "smallest impedance",
         "q": "quality factor",
     },
     "A length": {
-        "value": "the length", "tolerance": "how exact it is; `0 mm` means that it is exact",
+        "value": "the length",
+        "tolerance": "half width of the interval that holds the length; `0 mm` means that it is exact",
         "assumed": "`true` where it was chosen, not measured or published", "note": "where it comes from",
     },
 }
@@ -274,7 +275,7 @@ def plausible_page() -> str:
             ("radius of a particle", plausible.PARTICLE_RADIUS, "length"),
             ("density of a layer that was weighed", plausible.DENSITY, "density"),
             ("temperature of a state", plausible.TEMPERATURE, "temperature")]
-    lines = ["| what | from | to |", "| --- | --- | --- |"]
+    lines = ["| size | from | to |", "| --- | --- | --- |"]
     lines += [f"| {name} | {plausible.as_text(each.low, kind)} | {plausible.as_text(each.high, kind)} |"
               for name, each, kind in rows]
     return "\n".join(lines) + "\n"
@@ -292,7 +293,7 @@ def page() -> str:
         raise ValueError(f"docs/chip_keys.py and the reader of chip files disagree on the keys {sorted(odd)}")
     parts = []
     for keys, title in known.items():
-        lines = [f"### {title}\n", "| key | takes | says |", "| --- | --- | --- |"]
+        lines = [f"### {title}\n", "| key | takes | meaning |", "| --- | --- | --- |"]
         lines += [f"| `{key}` | {read[keys][key]} | {told} |" for key, told in ABOUT[title].items()]
         parts.append("\n".join(lines))
     return "\n\n".join(parts) + "\n"

@@ -23,10 +23,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import api  # noqa: E402
 import architecture  # noqa: E402
-import chip_keys  # noqa: E402
-import file_keys  # noqa: E402
-import glossary_page  # noqa: E402
-import material_table  # noqa: E402
 import verdict_pictures  # noqa: E402
 
 _PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -82,12 +78,6 @@ def _generate(app: Any) -> None:
             page.unlink()
     made = HERE / "_generated"
     made.mkdir(exist_ok=True)
-    (made / "chip_keys.md").write_text(chip_keys.page(), encoding="utf-8")
-    (made / "bench_keys.md").write_text(file_keys.bench_page(), encoding="utf-8")
-    (made / "campaign_keys.md").write_text(file_keys.campaign_page(), encoding="utf-8")
-    (made / "material_table.md").write_text(material_table.page(), encoding="utf-8")
-    (made / "plausible.md").write_text(chip_keys.plausible_page(), encoding="utf-8")
-    (made / "glossary.md").write_text(glossary_page.page(), encoding="utf-8")
     (made / "api.rst").write_text(api.page(), encoding="utf-8")
     architecture.draw(made / "architecture.png")
     # A text, when it is given on the command line.

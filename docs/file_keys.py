@@ -28,95 +28,105 @@ CAMPAIGN_EXAMPLE = ROOT / "geometry/chips/small_campaign/campaign.toml"
 BENCH: Mapping[str, Mapping[str, str]] = {
     "The file": {
         "generator": "the generator", "oscilloscope": "the oscilloscope", "reference": "the resistor in series with "
-        "the device", "sweep": "the frequencies", "drive": "how hard the device is driven", "limits": "how hard it may "
-        "be driven", "acquisition": "how a point is taken", "compensation": "recordings of the fixture, which is then "
-        "taken out", "device": "what is measured, in words; all of it goes into the run file",
+        "the device", "sweep": "the frequencies", "drive": "voltage of the generator", "limits": "largest "
+        "voltage and current of the device", "acquisition": "how a point is taken", "compensation": "recordings of the "
+        "fixture, for its removal", "device": "notes on the device; all go into the run file",
     },
     "`[generator]`": {
-        "port": "its serial port, such as `/dev/ttyUSB0`", "model": "what it must answer when it is asked who it is",
-        "baud": "speed of the serial port", "timeout": "how long a reply may take",
-        "pause": "kept after every command, because settings are not acknowledged",
+        "port": "its serial port, such as `/dev/ttyUSB0`", "model": "text that its identity must contain",
+        "baud": "speed of the serial port", "timeout": "longest time of a reply",
+        "pause": "time after every command, because settings are not acknowledged",
     },
     "`[oscilloscope]`": {
         "port": "a serial port, a USBTMC device such as `/dev/usbtmc0`, or a VISA resource (`USB0::...::INSTR`)",
-        "model": "what it must answer when it is asked who it is", "baud": "speed of a serial port",
+        "model": "text that its identity must contain", "baud": "speed of a serial port",
         "channel_total": "the channel across device and resistor together",
         "channel_reference": "the channel across the resistor alone",
-        "probe_total": "factor of the probe on the first, 1 or 10", "probe_reference": "of the probe on the second",
-        "trigger": "the trigger's source", "timeout": "how long one reply may take",
-        "acquisition_timeout": "how long a whole acquisition may take, averages included",
+        "probe_total": "factor of the probe on `channel_total`, 1 or 10",
+        "probe_reference": "factor of the probe on `channel_reference`",
+        "trigger": "source of the trigger", "timeout": "longest time of one reply",
+        "acquisition_timeout": "longest time of a whole acquisition, averages included",
     },
     "`[reference]`": {
-        "resistance": "of the resistor in series with the device",
-        "tolerance": "limits of it; with a load it drops out",
+        "resistance": "resistance of the resistor in series with the device",
+        "tolerance": "limits of the resistance; a recording of a load makes it irrelevant",
     },
     "`[sweep]`": {
         "centre": "middle of the band; or `from` and `to`",
-        "span": "how far the band goes to either side of `centre`; `12 %` if not given",
+        "span": "width of the band on either side of `centre`; `12 %` if not given",
         "from": "lower end of the band", "to": "upper end of the band",
         "kind": "`linear` takes every `step`, `adaptive` takes `points` where the spectrum bends",
-        "step": "between two points of a linear sweep", "points": "of an adaptive sweep, at most",
+        "step": "distance of two points of a linear sweep", "points": "largest number of points of an adaptive sweep",
         "resolution": "relative error of Z between the points of an adaptive sweep, at which it ends",
         "direction": "`both` is up and then down", "repeats": "passes in each direction",
     },
     "`[drive]`": {
-        "amplitude": "open circuit; a list is a series of drive levels, each swept in turn",
+        "amplitude": "open-circuit voltage; a list is a series of drive levels, each swept in turn",
     },
     "`[limits]`": {
-        "device_voltage": "what the device may see, peak to peak", "device_current": "the same, peak to peak",
+        "device_voltage": "largest voltage of the device, peak to peak",
+        "device_current": "largest current of the device, peak to peak",
     },
     "`[acquisition]`": {
-        "averages": "made by the oscilloscope: 1, 4, 16, 64 or 128; `captures` are the better way",
-        "captures": "of one point, averaged afterwards", "periods": "in one capture, about",
-        "settle": "waited after the frequency was set", "attempts": "at a point where an instrument fails",
-        "gain_accuracy": "limits of a channel's gain, by the maker's data sheet; load compensation takes it out",
+        "averages": "number of averages in the oscilloscope: 1, 4, 16, 64 or 128; `captures` are the better way",
+        "captures": "number of captures of one point, averaged afterwards",
+        "periods": "approximate number of periods in one capture",
+        "settle": "time between the setting of a frequency and its first capture",
+        "attempts": "number of attempts at a point where an instrument fails",
+        "gain_accuracy": "limits of a channel's gain, by the maker's data sheet; load compensation removes it",
     },
     "`[compensation]`": {
         "open": "run file or spectrum of the fixture with nothing in it",
         "short": "the same with its clips joined", "load": "the same with a known resistor",
-        "load_resistance": "of that resistor; with `load`, and only with it", "load_tolerance": "limits of it",
-        "columns": "a column map for spectra whose headings do not say what they are",
+        "load_resistance": "resistance of that resistor; with `load`, and only with it",
+        "load_tolerance": "limits of that resistance",
+        "columns": "a column map for spectra whose headings are not recognised",
     },
     "`[device]`": {
-        "name": "of the device", "state": "it is in, such as `empty`", "temperature": "as it was read off",
-        "gel": "the couplant, and how it was put on", "operator": "who measured", "note": "anything else",
+        "name": "name of the device", "state": "state of the device, such as `empty`",
+        "temperature": "temperature as read off",
+        "gel": "the couplant, and how it was put on",
+        "operator": "name of the person who measured", "note": "anything else",
     },
 }
 
 #: What a key of a campaign file says, by table. NAME stands for names of the reader's.
 CAMPAIGN: Mapping[str, Mapping[str, str]] = {
     "The file": {
-        "campaign": "what the whole is called", "states": "each under `[states.NAME]`; one at least is not held out",
+        "campaign": "name and materials of the campaign",
+        "states": "each under `[states.NAME]`; one at least is not held out",
         "known": "standard uncertainties of numbers that all states share",
-        "between": "what every state adds on its own", "fixed": "what may not move", "model": "how good the model is",
+        "between": "changes from one state to the next", "fixed": "parameters that are exact",
+        "model": "accuracy of the model",
     },
     "`[campaign]`": {
-        "name": "what the device is called in reports", "materials": "a folder of materials, relative to the file",
+        "name": "name of the device in reports", "materials": "a folder of materials, relative to the file",
         "known": "`stated`: tolerances and uncertainties in the files of chip and materials count too; `named`: "
                  "`[known]` alone",
     },
     "`[states.NAME]`": {
-        "chip": "the chip file", "state": "of that chip; needed where it has several", "recording": "the spectrum",
-        "drive": "at the electrodes, peak to peak", "temperature": "of what fills the cavity",
-        "band": "of the recording, where not all of the chip's band counts, such as `[\"0.95 MHz\", \"1.05 MHz\"]`",
-        "noise": "standard deviation of a point relative to its impedance, where the recording brings none",
+        "chip": "the chip file", "state": "state of that chip; needed where it has several",
+        "recording": "the spectrum",
+        "drive": "voltage at the electrodes, peak to peak", "temperature": "temperature of the cavity's fluid",
+        "band": "band of the recording, if not all of the chip's band counts, such as `[\"0.95 MHz\", \"1.05 MHz\"]`",
+        "noise": "standard deviation of a point relative to its impedance, where the recording states none",
         "held_out": "`true`: never fitted, only predicted",
-        "columns": "a column map, where the recording's headings do not say what they are",
+        "columns": "a column map, where the recording's headings are not recognised",
         "without_outliers": "`true`: leaves out the points that the findings on the recording name (page Recordings)",
-        "known": "what this state alone adds, by name as in `[known]`",
+        "known": "known parameters of this state alone, by name as in `[known]`",
         "observations": "beside the impedance, by name: `focusing_time` (s), `temperature_rate` (K/s at switch-on, of "
                         "the whole chip), each with `value`, `uncertainty` (relative), `drive` and `frequency`",
     },
     "`[known]`, `[states.NAME.known]`": {},
     "`[between]`": {
-        "defaults": "`false` leaves out what any bench does between two recordings (see the table of offsets above)",
+        "defaults": "`false` leaves out the changes of any bench between two recordings (table of offsets above)",
     },
     "`[fixed]`": {
         "names": "parameters that are exact, and that no hypothesis may move",
     },
     "`[model]`": {
-        "inhomogeneity": "of the relative changes of stiffness, mass and loss within parts; `0` for none; averaged "
-                         "over if not given",
+        "inhomogeneity": "size of the relative changes of stiffness, mass and loss within parts; `0` for none; "
+                         "an average over sizes if not given",
     },
 }
 
@@ -266,7 +276,7 @@ def page(about: Mapping[str, Mapping[str, str]], read: Mapping[str, Mapping[str,
         if title in NAMED:
             lines += [NAMED[title], ""]
         if about[title]:
-            lines += ["| key | takes | if not given | says |", "| --- | --- | --- | --- |"]
+            lines += ["| key | takes | if not given | meaning |", "| --- | --- | --- | --- |"]
             for key, told in about[title].items():
                 takes, default = read[title][key]
                 lines.append(f"| `{key}` | {takes} | {f'`{default}`' if default else ''} | {told} |")

@@ -53,7 +53,7 @@ def _thermal(material: Material) -> str:
 def page() -> str:
     """A table of all entries, in Markdown."""
     registry = Registry()
-    lines = ["| name | what it is | density | waves | losses | heat |", "| --- | --- | ---: | ---: | ---: | --- |"]
+    lines = ["| name | material | density | waves | losses | heat |", "| --- | --- | ---: | ---: | ---: | --- |"]
     for name in registry.names():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PassivityWarning)

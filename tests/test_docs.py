@@ -155,15 +155,6 @@ def test_the_picture_of_packages_has_one_way(tmp_path: Path) -> None:
     assert (tmp_path / "architecture.png").stat().st_size > 10_000
 
 
-def test_every_key_of_a_chip_file_is_explained() -> None:
-    code = ("import sys; sys.path[:0] = ['docs', '.']; import chip_keys; print(chip_keys.page()); "
-            "print(chip_keys.plausible_page())")
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
-    for key in ("cavity_radius", "live_inner_radius", "particle_radius", "z_min", "tolerance"):
-        assert f"| `{key}` |" in done.stdout
-
-
 def docs_module(name: str) -> ModuleType:
     """A module of the documentation, which is no package."""
     specification = importlib.util.spec_from_file_location(f"docs_{name}", ROOT / f"docs/{name}.py")
@@ -200,6 +191,23 @@ def test_a_key_that_nobody_explains_stops_the_page() -> None:
     with pytest.raises(ValueError, match=r"disagree on the keys \['attempts'\] of `\[acquisition\]`"):
         keys.page(keys.BENCH, keys.bench_keys() | {"`[acquisition]`": {
             key: told for key, told in keys.bench_keys()["`[acquisition]`"].items() if key != "attempts"}})
+
+
+def test_the_tables_of_the_pages_are_those_of_the_code() -> None:
+    tables = docs_module("tables")
+    found = []
+    for path in sorted((ROOT / "docs").glob("*.md")):
+        text = path.read_text(encoding="utf-8")
+        assert tables.fresh(text) == text, f"{path.name} has an old table: run .venv/bin/python docs/tables.py"
+        found += re.findall(r"<!-- (\w+): made by", text)
+    assert sorted(found) == sorted(tables.TABLES)
+    page = (ROOT / "docs/chip_file.md").read_text(encoding="utf-8")
+    for key in ("cavity_radius", "live_inner_radius", "particle_radius", "z_min", "tolerance"):
+        assert f"| `{key}` |" in page
+    # An old table is found, and so is one without a name.
+    assert tables.fresh(page.replace("| `z_min` |", "| `zmin` |")) == page
+    with pytest.raises(ValueError, match=r"received a table .chip_key. that ends as .chip_keys.; expected one of "):
+        tables.fresh(page.replace("<!-- chip_keys:", "<!-- chip_key:"))
 
 
 def test_every_material_is_in_the_table() -> None:
