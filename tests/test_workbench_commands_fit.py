@@ -6,6 +6,7 @@ import html
 import re
 import signal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from workbench.cli import main
 from workbench.commands import fit_job
 from workbench.fem.operators import assemble
 from workbench.fitting.joint import FitResult
+from workbench.fitting.search import FitSearch
 from workbench.model.problem import build, fill
 from workbench.readers import read_recording
 from workbench.reduced.at_point import reduce
@@ -200,6 +202,33 @@ def test_phases_that_are_no_numbers_are_refused(
     (folder / "nan.csv").write_text("\n".join(rows) + "\n")
     assert fit(folder, "disc", out=tmp_path, recording="nan.csv") == 2
     assert "nan" in capsys.readouterr().err
+
+
+def test_an_interrupted_search_keeps_the_best_fit_so_far(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record_of(folder / "disc.toml", {f"{MATERIAL}.c11": 0.9, f"{MATERIAL}.c33": 0.9}, "other.csv")
+    begun: list[str] = []
+
+    def descend(search: FitSearch, *arguments: Any, rival: Any = None, **named: Any) -> Any:
+        if rival is not None:
+            begun.append("a further descent")
+            signal.raise_signal(signal.SIGINT)
+        return whole(search, *arguments, rival=rival, **named)
+
+    whole = FitSearch.descend
+    monkeypatch.setattr(FitSearch, "descend", descend)
+    job = ("disc", "--free", "c33", "--tries", "2", "--save", "pzt4/half")
+    assert fit(folder, *job, out=tmp_path / "out", recording="other.csv") == 130
+    assert begun == ["a further descent"]
+    record = standard_json(tmp_path / "out" / "fit.json")
+    assert (record["interrupted"], record["accepted"], record["saved_as"]) == (True, False, None)
+    assert "The search for a better optimum was interrupted: the result is the best so far" in record["findings"][0]
+    assert record["key"] is None
+    assert record["bands_left_out"] == []
+    said = " ".join(capsys.readouterr().err.split())
+    assert "interrupted: " in said
+    assert "fit.json" in said
 
 
 def test_an_interruption_ends_with_its_status(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -82,4 +82,24 @@ def test_without_tries_nothing_further_is_begun(further: FitMultistart) -> None:
     further.tries = 0
     further.run([])
     assert further.trials == []
+    # Four thicknesses of the film on each mesh.
+    assert further.untried == 8
     assert further.refined.minimum.x == pytest.approx([20e-6])
+
+
+def test_an_interruption_keeps_the_best_end_so_far(further: FitMultistart, monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[float] = []
+
+    def refined(x: Real) -> Refined:
+        tried.append(float(x[0]))
+        if len(tried) == 3:
+            raise KeyboardInterrupt
+        return refine(x)
+
+    monkeypatch.setattr(further, "refine", refined)
+    further.run([])
+    assert further.interrupted
+    assert tried[1] == pytest.approx(23e-6)
+    assert further.refined.minimum.x == pytest.approx([23e-6])
+    assert [trial.end is not None for trial in further.trials[-2:]] == [True, True]
+    assert not further.refined.is_explained

@@ -18,6 +18,7 @@ from materials import Registry, save_fit
 from workbench.fem.operators import assemble
 from workbench.files.errors import InputError
 from workbench.fitting.joint import FitResult, fit_parameters
+from workbench.fitting.multistart import TRIES
 from workbench.fitting.objective import FitRecording
 from workbench.fitting.parameter import POLYMER_FOUR
 from workbench.fitting.prepare import Prepared, check_device, in_band, material_starts, prepare, prepare_together
@@ -265,6 +266,21 @@ def test_a_fit_that_is_not_to_be_believed_says_why(result: FitResult) -> None:
     assert "2.1 times the noise that it states" in refusals(worse(result, recordings=(noisy,)))[0]
     little = replace(match, noise=replace(match.noise, stated=True, scale=1.9))
     assert refusals(worse(result, recordings=(little,))) == ()
+
+
+def test_a_residual_that_is_not_noise_is_accepted_after_the_whole_search_alone(result: FitResult) -> None:
+    match = result.recordings[0]
+    smooth = replace(match, after=replace(match.after, rms_log_residual=0.02),
+                     noise=replace(match.noise, correlation=5.0, stated=False))
+    found = worse(result, recordings=(smooth,))
+    assert refusals(found) == ()
+    assert refusals(worse(found, further=TRIES, untried=4)) == ()
+    (few,) = refusals(worse(found, further=2, untried=4))
+    assert "2 % of Z remains (rms), more than noise, and a better optimum was searched for by 2 further desc" in few
+    assert f"try `--tries {TRIES}`" in few
+    assert "let the search end" in refusals(worse(found, further=TRIES, interrupted=True))[0]
+    # An explained recording needs no further descents.
+    assert refusals(worse(result, untried=4)) == ()
 
 
 def test_an_entry_is_saved_and_read_back(

@@ -197,4 +197,5 @@ def fit_all(jobs: Sequence[Job], settings: Settings, folder: Path, workers: Work
 
 @one_thread()
 def _fitted(job: Job, settings: Settings, folder: Path) -> None:
-    run_job(job, settings, folder)
+    if run_job(job, settings, folder).result.interrupted:
+        raise KeyboardInterrupt

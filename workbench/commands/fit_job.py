@@ -105,7 +105,8 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
         saved_as = save_fit(entry, job.save, folder=kept)
         saved_before = saved_as in before
     try:
-        record = {"key": job_key(job, settings), "name": job.name,
+        # The fit of a batch that was interrupted is repeated.
+        record = {"key": None if result.interrupted else job_key(job, settings), "name": job.name,
                   **fit_record(result, prepared, sources, date=date, saved_as=saved_as)}
         if gel:
             record["gel_study"] = gel_record(gel)

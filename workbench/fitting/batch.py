@@ -45,6 +45,7 @@ from materials.versions import check_saved_name
 from workbench.files.errors import InputError, choose
 from workbench.files.names import check_name, check_title
 from workbench.files.tables import FileTable
+from workbench.fitting.multistart import TRIES
 from workbench.fitting.prepare import DEFAULT, KINDS
 from workbench.fitting.record import file_digest, software
 from workbench.model.discretisation import ACCURACY, Discretisation
@@ -98,7 +99,7 @@ class Settings:
     accuracy: float | Discretisation = ACCURACY
     algorithm: str = "joint"
     starts: tuple[str, ...] = ()
-    tries: int = 32
+    tries: int = TRIES
     force: bool = False
     gel_thicknesses: tuple[float, ...] = ()
 

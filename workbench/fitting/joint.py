@@ -24,6 +24,7 @@ from workbench.fitting import uncertainty
 from workbench.fitting.held import HeldNumber, held_numbers
 from workbench.fitting.multistart import (
     PRIOR_SAMPLES,
+    TRIES,
     FitEnd,
     FitMultistart,
     Refined,
@@ -97,7 +98,8 @@ class FitResult(Brief):
     ``undetermined`` directions that the data do not determine; ``bands`` predictions of parts of the band left out;
     ``check`` the largest relative difference from full solves and its frequency (Hz); ``seconds`` wall time;
     ``full_solves`` spent on all meshes; ``held`` fixed uncertain parameters, the largest part of the residual first;
-    ``entries`` other ceramics that were tried as a whole since the residual is large.
+    ``entries`` other ceramics that were tried as a whole since the residual is large; ``further`` descents that looked
+    for a better optimum, ``untried`` starts beyond their largest number, ``interrupted`` whether that search ended early.
     """
 
     algorithm: str
@@ -116,6 +118,9 @@ class FitResult(Brief):
     full_solves: int
     held: tuple[HeldNumber, ...] = ()
     entries: tuple[TriedEntry, ...] = ()
+    further: int = 0
+    untried: int = 0
+    interrupted: bool = False
 
     @property
     def correlation(self) -> Real:
@@ -127,7 +132,7 @@ class FitResult(Brief):
 def fit_parameters(
     recordings: Sequence[FitRecording], parameters: Sequence[Parameter], *,
     coarse: Sequence[FitRecording] | None = None, starts: Mapping[str, Real] | None = None,
-    others: Mapping[str, Real] | None = None, tries: int = 32, seed: int = 0, profiles: bool = True,
+    others: Mapping[str, Real] | None = None, tries: int = TRIES, seed: int = 0, profiles: bool = True,
     bands: int = 3, progress: Progress = no_progress,
 ) -> FitResult:
     """Fit `parameters` to `recordings`, with the uncertainty of each.
@@ -142,6 +147,8 @@ def fit_parameters(
             best end, then from samples of the prior.
         profiles: profile likelihoods where the cost is not quadratic.
         bands: parts of the band to leave out in turn and predict; 0 for none.
+
+    Interrupted once while it searches for a better optimum, it ends with the best so far.
 
     Raises:
         FitError: fewer data than parameters, or no start can be predicted at all.
@@ -180,8 +187,10 @@ def fit_parameters(
         return reweighted_descent(search, x)
 
     further = FitMultistart(coarse_search, refine, min(ends, key=lambda end: end.cost), tries,
-                            lambda label, _share: progress(f"searching, {label}", 0.6))
+                            lambda label, share: progress(f"searching further: {label}", 0.6 + 0.25 * share))
     further.run(prior_samples(coarse_search, PRIOR_SAMPLES, seed), _labelled(others))
+    if further.interrupted:
+        profiles, bands = False, 0
     minimum, noise = further.refined
     progress("judging", 0.85)
     estimated = uncertainty.estimate_uncertainty(search, minimum, noise, profiles=profiles,
@@ -194,14 +203,21 @@ def fit_parameters(
     listed = listed_starts([*trials, *further.trials], further.reached, coarse_search, search)
     improved = all(m.after.rms_log_residual < m.before.rms_log_residual for m in matches)
     solves = search.objective.solves + coarse_search.objective.solves + checks
-    findings = (*_findings(minimum, improved, listed, matches, left_out, (off, where)), *estimated.findings,
+    findings = (*((_INTERRUPTED,) if further.interrupted else ()),
+                *_findings(minimum, improved, listed, matches, left_out, (off, where)), *estimated.findings,
                 *(f"{p.name} was freed without a tolerance: assumed, {p.assumed}." for p in parameters if p.assumed),
                 *hidden_findings(recordings), *refused_steps([*coarse_search.refusals, *search.refusals]))
     progress("done", 1.0)
     return FitResult(
         "joint", matches, estimated.estimates, estimated.covariance, estimated.undetermined, listed, left_out,
         (off, where), minimum.converged, improved, minimum.iterations, findings,
-        time.perf_counter() - started, solves, estimated.held)
+        time.perf_counter() - started, solves, estimated.held, further=len(further.trials),
+        untried=further.untried, interrupted=further.interrupted)
+
+
+#: The finding of a fit whose search was interrupted.
+_INTERRUPTED = ("The search for a better optimum was interrupted: the result is the best so far, without profile "
+                "likelihoods and without bands left out.")
 
 
 def _labelled(starts: Mapping[str, Real] | None) -> list[StartPoint]:

@@ -31,6 +31,10 @@ FILM_FACTORS = (0.87, 1.15, 0.76, 1.32)
 #: The last stage of the schedule.
 UNSMOOTHED = len(SCHEDULE.stages)
 
+#: Further descents, at most, while a recording stays unexplained. After fewer, a better optimum may be among the starts
+#: that nobody tried. Doubled, a fit whose model misses something takes up to twice as long.
+TRIES = 32
+
 #: Samples of the prior to start from where offsets did not help.
 PRIOR_SAMPLES = 8
 
@@ -99,7 +103,8 @@ class FitMultistart:
 
     At most ``tries`` starts are tried. Ends are searched for on the mesh of ``search``; those near the best cost or
     below are refined by ``refine``, from a point (p,) on the requested mesh. The one of the smallest residual is then
-    the best. The search stops once every recording is explained.
+    the best. The search stops once every recording is explained. ``untried`` counts the starts beyond ``tries``;
+    ``interrupted`` tells whether the search ended early.
     """
 
     search: FitSearch
@@ -108,6 +113,8 @@ class FitMultistart:
     tries: int
     progress: Progress
     trials: list[Trial[FitEnd]] = field(default_factory=list)
+    untried: int = 0
+    interrupted: bool = False
 
     def __post_init__(self) -> None:
         self.refined = self.refine(self.best.x)
@@ -116,13 +123,16 @@ class FitMultistart:
 
     def run(self, samples: Sequence[StartPoint], others: Sequence[StartPoint] = ()) -> None:
         """Try the starts `others`, then offsets of the best end and `samples`. Offsets of films on the requested mesh
-        follow: the error of the search mesh may hide the valley of a thin film."""
-        self._try(self._searched, self.best.x, lambda _x: [], others)
-        self._try(self._searched, self.best.x,
-                  lambda x: [*film_offsets(self.search, x), *overtone_offsets(self.search, x)], samples)
-        self._try(lambda start: FitEnd(None, self.refine(self.search.inside(start.x))), self.refined.minimum.x,
-                  lambda x: [replace(each, label=f"{each.label}, on the requested mesh")
-                             for each in film_offsets(self.search, x)])
+        follow: the error of the search mesh may hide the valley of a thin film. An interruption keeps the best end."""
+        try:
+            self._try(self._searched, self.best.x, lambda _x: [], others)
+            self._try(self._searched, self.best.x,
+                      lambda x: [*film_offsets(self.search, x), *overtone_offsets(self.search, x)], samples)
+            self._try(lambda start: FitEnd(None, self.refine(self.search.inside(start.x))), self.refined.minimum.x,
+                      lambda x: [replace(each, label=f"{each.label}, on the requested mesh")
+                                 for each in film_offsets(self.search, x)])
+        except KeyboardInterrupt:
+            self.interrupted = True
 
     def _searched(self, start: StartPoint) -> FitEnd:
         end = self.search.descend(start.x, first=start.stage, rival=self.best)
@@ -139,6 +149,8 @@ class FitMultistart:
     ) -> None:
         """Try the `offsets` of x (p,) or a better end, then `samples`."""
         def following(trial: Trial[FitEnd], waiting: list[StartPoint]) -> Sequence[StartPoint]:
+            nonlocal left
+            self.trials.append(trial)
             end = trial.end
             if (end is not None and end.refined is not None
                     and end.refined.log_deviation < self.refined.log_deviation - BETTER):
@@ -146,11 +158,17 @@ class FitMultistart:
                 # A move that helped once may help again.
                 again = sorted(offsets(end.optimum.x), key=lambda each: each.label != trial.start.label)
                 waiting = [*again, *(each for each in waiting if each in samples)]
-            return () if self.refined.is_explained else waiting
+            if self.refined.is_explained:
+                waiting = []
+            left = len(waiting)
+            return waiting
 
-        starts = () if self.refined.is_explained else (*offsets(x), *samples)
-        self.trials += multistart(starts, attempt, refused=NO_END, tries=self.tries - len(self.trials),
-                                  following=following, progress=self.progress)
+        done, starts = len(self.trials), () if self.refined.is_explained else (*offsets(x), *samples)
+        left = len(starts)
+        more = self.tries - done
+        multistart(starts, attempt, refused=NO_END, tries=more, following=following,
+                   progress=lambda label, share: self.progress(label, (done + share * more) / self.tries))
+        self.untried += left
 
 
 def film_offsets(search: FitSearch, x: Real) -> list[StartPoint]:
@@ -221,6 +239,8 @@ def listed_starts(
 
 def where_they_ended(starts: Sequence[Start]) -> str:
     """The ends of all descents, in one sentence."""
+    if len(starts) == 1:
+        return "One descent; no other start was tried."
     same, given_up = (sum(s.outcome == outcome for s in starts) for outcome in (SAME, GIVEN_UP))
     failed = [s for s in starts if not np.isfinite(s.rms)]
     others = sorted((s for s in starts if np.isfinite(s.rms) and s.outcome not in (SAME, GIVEN_UP)),

@@ -24,7 +24,7 @@ from workbench.fem.operators import assemble
 from workbench.files.quantities import finite, shown_factor, shown_unit
 from workbench.fitting.derived import Derived, derived_moduli, moduli_of
 from workbench.fitting.joint import FitResult, Match, TriedEntry
-from workbench.fitting.multistart import Start
+from workbench.fitting.multistart import TRIES, Start
 from workbench.fitting.noise import NOISY, Noise
 from workbench.fitting.objective import Objective
 from workbench.fitting.parameter import Parameter, material_parameter
@@ -108,7 +108,8 @@ def refusals(result: FitResult) -> tuple[str, ...]:
 
     A residual explains a recording up to :data:`~workbench.fitting.noise.NOISY` times its stated noise, or up to an rms
     of |ln(Z_fit / Z_measured)| of LARGE_RESIDUAL where it states none. (The published fits of Acevedo-Espinosa et al.
-    (RP-UEIS) have a mean error of |Z| of 22 to 26 %.)
+    (RP-UEIS) have a mean error of |Z| of 22 to 26 %.) A smaller residual that is more than noise is accepted only after
+    the whole search for a better optimum.
     """
     reasons = []
     if not result.improved:
@@ -120,12 +121,18 @@ def refusals(result: FitResult) -> tuple[str, ...]:
         if not e.parameter.low <= e.value <= e.parameter.high:
             reasons.append(f"{e.parameter.name} ended at {e.value:.4g} {e.parameter.unit}, outside "
                            f"{e.parameter.low:.4g} to {e.parameter.high:.4g}, all that such a material may have.")
+    short = result.interrupted or (result.untried > 0 and result.further < TRIES)
     for match in result.recordings:
         left, noise = match.after, match.noise
         if noise.stated and not noise.ratio <= NOISY:
             too_much = f"{noise.ratio:.3g} times the noise that it states, more than {NOISY:g} times"
         elif not noise.stated and not left.rms_log_residual <= LARGE_RESIDUAL:
             too_much = f"more than the {100.0 * LARGE_RESIDUAL:g} % that are accepted if a recording states no noise"
+        elif short and not noise.explains(left.rms_log_residual):
+            reasons.append(f"{match.name}: {100.0 * left.rms_log_residual:.2g} % of Z remains (rms), more than noise, "
+                           f"and a better optimum was searched for by {result.further} further descents only: "
+                           f"{'let the search end' if result.interrupted else f'try `--tries {TRIES}`'}.")
+            continue
         else:
             continue
         reasons.append(f"{match.name}: {100.0 * left.rms_log_residual:.2g} % of Z remains (rms; MAPE of |Z| "
@@ -170,7 +177,7 @@ def tried(
     They are tried as a whole if it is refused and its fixed parameters mattered. Each is tried by a descent on the
     search mesh, with fixed parameters of its own; one without a prediction is omitted.
     """
-    if not refusals(result) or not any(h.part > MATTERED for h in result.held):
+    if result.interrupted or not refusals(result) or not any(h.part > MATTERED for h in result.held):
         return result
     own, entries = prepared.material.name, list[TriedEntry]()
     for name in other_ceramics(prepared, registry)[:most]:

@@ -23,6 +23,7 @@ from materials.registry import Registry, user_folder, user_registry
 from materials.saving import save_fit
 from workbench.fitting import joint
 from workbench.fitting.joint import FitResult
+from workbench.fitting.multistart import TRIES
 from workbench.fitting.prepare import DEFAULT, Prepared, material_starts, other_ceramics, prepare
 from workbench.fitting.record import Source, file_digest, refusals, registry_entry, tried
 from workbench.jobs.progress import Progress, no_progress
@@ -123,7 +124,7 @@ def fit(
     recording: Reading | Spectrum, chip: Chip, kind: str = "pzt", *, state: str | None = None,
     material: str | None = None, region: str | None = None, free: Sequence[str] = (DEFAULT,),
     band: tuple[float, float] | None = None, starts: Sequence[str] = (), registry: Registry | None = None,
-    accuracy: float | Discretisation = ACCURACY, tries: int = 32, progress: Progress = no_progress,
+    accuracy: float | Discretisation = ACCURACY, tries: int = TRIES, progress: Progress = no_progress,
 ) -> MaterialFit:
     """Fit a material to the recording of a device.
 

@@ -199,7 +199,8 @@ def fit_record(
     refused = refusals(result)
     return {
         **record(prepared, "kind chip=chip.name state material=material.name"),
-        **record(result, "algorithm findings converged improved iterations wall_seconds=seconds full_solves "
+        **record(result, "algorithm findings converged improved interrupted further_descents=further "
+                         "starts_untried=untried iterations wall_seconds=seconds full_solves "
                          "held { name=parameter.name value=parameter.value unit=parameter.unit "
                          "standard_uncertainty=parameter.scale moves=moved by_standard_errors=part "
                          "share_of_residual=share taken_if_proposed=taken } "
