@@ -99,7 +99,7 @@ class FitResult(Brief):
     ``check`` the largest relative difference from full solves and its frequency (Hz); ``seconds`` wall time;
     ``full_solves`` spent on all meshes; ``held`` fixed uncertain parameters, the largest part of the residual first;
     ``entries`` other ceramics that were tried as a whole since the residual is large; ``further`` descents that looked
-    for a better optimum, ``untried`` starts beyond their largest number, ``interrupted`` whether that search ended early.
+    for a better optimum, ``untried`` starts beyond the largest number, ``interrupted`` whether that search ended early.
     """
 
     algorithm: str

@@ -148,6 +148,9 @@ class FitMultistart:
         samples: Sequence[StartPoint] = (),
     ) -> None:
         """Try the `offsets` of x (p,) or a better end, then `samples`."""
+        starts = () if self.refined.is_explained else (*offsets(x), *samples)
+        done, left = len(self.trials), len(starts)
+
         def following(trial: Trial[FitEnd], waiting: list[StartPoint]) -> Sequence[StartPoint]:
             nonlocal left
             self.trials.append(trial)
@@ -163,8 +166,6 @@ class FitMultistart:
             left = len(waiting)
             return waiting
 
-        done, starts = len(self.trials), () if self.refined.is_explained else (*offsets(x), *samples)
-        left = len(starts)
         more = self.tries - done
         multistart(starts, attempt, refused=NO_END, tries=more, following=following,
                    progress=lambda label, share: self.progress(label, (done + share * more) / self.tries))

@@ -58,7 +58,7 @@ class NoResonance(ValueError):
     """No resonance with both its half-power points inside the band.
 
     ``frequency`` and ``impedance`` are of the smallest |Z| in the band (Hz, ohm); ``candidates`` are the frequencies of
-    complete resonances in the band, for `near` or `band`.
+    resonances with both half-power points in the band, for `near` or `band`.
     """
 
     def __init__(self, reason: str, *, frequency: float, impedance: float, candidates: tuple[float, ...] = ()) -> None:
@@ -227,10 +227,11 @@ def _resonance(spectrum: Spectrum, near: float | None) -> tuple[float, float, fl
     at_lowest, least = float(grid[lowest]), float(magnitude[lowest])
     found = f"{frequency_text(grid[lowest])} ({magnitude[lowest]:.4g} ohm)"
     bounds = f"the band {frequency_text(*grid[[0, -1]])}"
-    others = "; complete resonances: " + ", ".join(frequency_text(c) for c in candidates) if candidates else ""
+    others = ("; resonances with both half-power points in the band: " + ", ".join(map(frequency_text, candidates))
+              if candidates else "")
     if near is not None:
         if not len(minima):
-            raise NoResonance(f"no complete resonance in {bounds}; the smallest |Z| is at {found}",
+            raise NoResonance(f"no resonance has both half-power points in {bounds}; the smallest |Z| is at {found}",
                               frequency=at_lowest, impedance=least)
         index = int(minima[np.argmin(np.abs(grid[minima] - near))])
     elif lowest in (0, len(grid) - 1):
