@@ -467,6 +467,14 @@ def test_a_line_of_words_within_a_sweep_ends_it_only_as_headings(
     np.testing.assert_allclose(restarted.spectrum.impedance, Z, rtol=1e-10)
 
 
+@pytest.mark.parametrize("repeats", [1, 3])
+def test_a_sweep_goes_on_below_words_that_follow_its_first_frequency(repeats: int, tmp_path: Path) -> None:
+    body = rows(FREQUENCY, Z.real, Z.imag).splitlines(keepends=True)
+    reading = read_recording(written(tmp_path, HEAD + "".join((*body[:1] * repeats, "retry,abc,foo\n", *body[1:]))))
+    np.testing.assert_allclose(reading.spectrum.impedance, Z, rtol=1e-10)
+    assert "no_rows" in [finding.code for finding in reading.findings]
+
+
 def test_many_lines_of_words_within_a_sweep_are_an_error(tmp_path: Path) -> None:
     body = rows(FREQUENCY, Z.real, Z.imag).splitlines(keepends=True)
     path = written(tmp_path, HEAD + body[0] + "retry,abc,foo\n".join(body[1:]))

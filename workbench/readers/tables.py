@@ -220,9 +220,9 @@ class Table:
             return False
         following, last, *others = (value_of(row[frequency], self.decimal) or math.nan
                                     for row in [*rows.values(), below][::-1])
-        # Readings may be repeated at one frequency, and a sweep may rise and fall.
-        before = next((value for value in others if value != last), math.nan)
-        return (following - last) * (last - before) >= 0.0
+        # Readings may be repeated at one frequency, and a sweep may rise and fall. One frequency alone is no sweep yet.
+        before = next((value for value in others if value != last), None)
+        return before is None or (following - last) * (last - before) >= 0.0
 
     def where(self, select: Mapping[str, object]) -> Table:
         """The table with the rows that hold the values `select`, by column.
