@@ -17,6 +17,7 @@ from materials import Registry, user_registry
 from workbench.cli import main
 from workbench.commands import fit_job
 from workbench.fem.operators import assemble
+from workbench.fitting import uncertainty
 from workbench.fitting.joint import FitResult
 from workbench.fitting.search import FitSearch
 from workbench.model.problem import build, fill
@@ -223,12 +224,36 @@ def test_an_interrupted_search_keeps_the_best_fit_so_far(
     assert begun == ["a further descent"]
     record = standard_json(tmp_path / "out" / "fit.json")
     assert (record["interrupted"], record["accepted"], record["saved_as"]) == (True, False, None)
-    assert "The search for a better optimum was interrupted: the result is the best so far" in record["findings"][0]
+    assert "Interrupted: the result is the best so far" in record["findings"][0]
     assert record["key"] is None
     assert record["bands_left_out"] == []
     said = " ".join(capsys.readouterr().err.split())
     assert "interrupted: " in said
     assert "fit.json" in said
+
+
+def test_an_interruption_while_a_fit_is_judged_or_written_keeps_it(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, begun = uncertainty.leave_bands_out, list[str]()
+
+    def interrupted(*_arguments: object, **_named: object) -> None:
+        begun.append("a step")
+        signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(uncertainty, "leave_bands_out", interrupted)
+        assert fit(folder, "disc", "--free", "c33", out=tmp_path / "judged") == 130
+    record = standard_json(tmp_path / "judged" / "fit.json")
+    assert (record["interrupted"], record["accepted"]) == (True, True)
+    assert record["parameters"][0]["value"] == pytest.approx(1.05 * 115.41e9, rel=1e-3)
+    with monkeypatch.context() as patch:
+        patch.setattr(fit_job, "write_spectrum", interrupted)
+        assert fit(folder, "disc", "--free", "c33", out=tmp_path / "written") == 130
+    record = standard_json(tmp_path / "written" / "fit.json")
+    assert (record["key"], record["accepted"]) == (None, True)
+    assert len(begun) == 2
+    assert uncertainty.leave_bands_out is whole
 
 
 def test_an_interruption_ends_with_its_status(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ from workbench.fitting.multistart import TRIES
 from workbench.fitting.objective import FitRecording
 from workbench.fitting.parameter import POLYMER_FOUR
 from workbench.fitting.prepare import Prepared, check_device, in_band, material_starts, prepare, prepare_together
-from workbench.fitting.record import Source, paper_result, refusals, registry_entry, source
+from workbench.fitting.record import Source, paper_result, refusals, registry_entry, reservations, source
 from workbench.model.problem import build, fill
 from workbench.reduced.at_point import reduce
 from workbench.report.fit import fit_record
@@ -278,9 +278,14 @@ def test_a_residual_that_is_not_noise_is_accepted_after_the_whole_search_alone(r
     (few,) = refusals(worse(found, further=2, untried=4))
     assert "2 % of Z remains (rms), more than noise, and a better optimum was searched for by 2 further desc" in few
     assert f"try `--tries {TRIES}`" in few
-    assert "let the search end" in refusals(worse(found, further=TRIES, interrupted=True))[0]
+    assert "let the search end" in refusals(worse(found, further=TRIES, untried=1, interrupted=True))[0]
+    assert refusals(worse(found, interrupted=True)) == ()
     # An explained recording needs no further descents.
     assert refusals(worse(result, untried=4)) == ()
+    assert reservations(result) == ()
+    (lacks,) = reservations(found)
+    assert "2 % of Z remains (rms), which is more than noise: the model lacks something" in lacks
+    assert "Remedies: fixed parameters: " in lacks
 
 
 def test_an_entry_is_saved_and_read_back(

@@ -87,6 +87,9 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
     progress("writing", 0.95)
     date = datetime.now(UTC)
     refused = bool(refusals(result))
+    # An interruption of what follows keeps the fit; without a key, a batch repeats it.
+    record = fit_record(result, prepared, sources, date=date)
+    write_json(folder / "fit.json", {"key": None, "name": job.name, **record})
     gel: tuple[GelCase, ...] = ()
     if settings.gel_thicknesses:
         gel = gel_study(prepared, registry, numbers={e.parameter.name: e.value for e in result.estimates},

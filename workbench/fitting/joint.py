@@ -37,7 +37,7 @@ from workbench.fitting.noise import Noise
 from workbench.fitting.objective import FitRecording, Objective
 from workbench.fitting.parameter import Parameter
 from workbench.fitting.search import COARSE, NO_END, SEARCHED_POINTS, FitSearch, Optimum
-from workbench.fitting.uncertainty import Direction, HeldOutBand, ParameterEstimate
+from workbench.fitting.uncertainty import Direction, FitUncertainty, HeldOutBand, ParameterEstimate
 from workbench.jobs.progress import Progress, no_progress
 from workbench.model.hidden import hidden_coefficients
 from workbench.results.brief import Brief
@@ -99,7 +99,7 @@ class FitResult(Brief):
     ``check`` the largest relative difference from full solves and its frequency (Hz); ``seconds`` wall time;
     ``full_solves`` spent on all meshes; ``held`` fixed uncertain parameters, the largest part of the residual first;
     ``entries`` other ceramics that were tried as a whole since the residual is large; ``further`` descents that looked
-    for a better optimum, ``untried`` starts beyond the largest number, ``interrupted`` whether that search ended early.
+    for a better optimum, ``untried`` starts without one; ``interrupted`` whether search or judgement ended early.
     """
 
     algorithm: str
@@ -148,7 +148,7 @@ def fit_parameters(
         profiles: profile likelihoods where the cost is not quadratic.
         bands: parts of the band to leave out in turn and predict; 0 for none.
 
-    Interrupted once while it searches for a better optimum, it ends with the best so far.
+    Interrupted once while it searches for a better optimum, or judges the best, it ends with the best so far.
 
     Raises:
         FitError: fewer data than parameters, or no start can be predicted at all.
@@ -189,21 +189,29 @@ def fit_parameters(
     further = FitMultistart(coarse_search, refine, min(ends, key=lambda end: end.cost), tries,
                             lambda label, share: progress(f"searching further: {label}", 0.6 + 0.25 * share))
     further.run(prior_samples(coarse_search, PRIOR_SAMPLES, seed), _labelled(others))
-    if further.interrupted:
-        profiles, bands = False, 0
     minimum, noise = further.refined
     progress("judging", 0.85)
-    estimated = uncertainty.estimate_uncertainty(search, minimum, noise, profiles=profiles,
+
+    def judged(profiles: bool, bands: int) -> tuple[FitUncertainty, tuple[HeldOutBand, ...]]:
+        found = uncertainty.estimate_uncertainty(search, minimum, noise, profiles=profiles,
                                                  coarser=None if coarse is None else coarse_search.objective,
                                                  held=held_numbers(recordings, parameters))
-    left_out = uncertainty.leave_bands_out(search, minimum, noise, bands) if bands else ()
+        return found, uncertainty.leave_bands_out(search, minimum, noise, bands) if bands else ()
+
+    interrupted = further.interrupted
+    try:
+        estimated, left_out = judged(profiles and not interrupted, 0 if interrupted else bands)
+    except KeyboardInterrupt:
+        if interrupted:
+            raise
+        interrupted, (estimated, left_out) = True, judged(False, 0)
     off, where, checks = uncertainty.reduced_model_error(search.objective, minimum.x)
     matches = tuple(Match.of(r.name, r.measured, first, last, own) for r, first, last, own in zip(
         recordings, before, minimum.residual.data.impedance, noise, strict=True))
     listed = listed_starts([*trials, *further.trials], further.reached, coarse_search, search)
     improved = all(m.after.rms_log_residual < m.before.rms_log_residual for m in matches)
     solves = search.objective.solves + coarse_search.objective.solves + checks
-    findings = (*((_INTERRUPTED,) if further.interrupted else ()),
+    findings = (*((_INTERRUPTED,) if interrupted else ()),
                 *_findings(minimum, improved, listed, matches, left_out, (off, where)), *estimated.findings,
                 *(f"{p.name} was freed without a tolerance: assumed, {p.assumed}." for p in parameters if p.assumed),
                 *hidden_findings(recordings), *refused_steps([*coarse_search.refusals, *search.refusals]))
@@ -212,12 +220,11 @@ def fit_parameters(
         "joint", matches, estimated.estimates, estimated.covariance, estimated.undetermined, listed, left_out,
         (off, where), minimum.converged, improved, minimum.iterations, findings,
         time.perf_counter() - started, solves, estimated.held, further=len(further.trials),
-        untried=further.untried, interrupted=further.interrupted)
+        untried=further.untried, interrupted=interrupted)
 
 
-#: The finding of a fit whose search was interrupted.
-_INTERRUPTED = ("The search for a better optimum was interrupted: the result is the best so far, without profile "
-                "likelihoods and without bands left out.")
+#: The finding of a fit that was interrupted.
+_INTERRUPTED = "Interrupted: the result is the best so far, without profile likelihoods and without bands left out."
 
 
 def _labelled(starts: Mapping[str, Real] | None) -> list[StartPoint]:

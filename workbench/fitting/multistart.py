@@ -103,7 +103,7 @@ class FitMultistart:
 
     At most ``tries`` starts are tried. Ends are searched for on the mesh of ``search``; those near the best cost or
     below are refined by ``refine``, from a point (p,) on the requested mesh. The one of the smallest residual is then
-    the best. The search stops once every recording is explained. ``untried`` counts the starts beyond ``tries``;
+    the best. The search stops once every recording is explained. ``untried`` counts the starts without a descent;
     ``interrupted`` tells whether the search ended early.
     """
 
@@ -167,9 +167,11 @@ class FitMultistart:
             return waiting
 
         more = self.tries - done
-        multistart(starts, attempt, refused=NO_END, tries=more, following=following,
-                   progress=lambda label, share: self.progress(label, (done + share * more) / self.tries))
-        self.untried += left
+        try:
+            multistart(starts, attempt, refused=NO_END, tries=more, following=following,
+                       progress=lambda label, share: self.progress(label, (done + share * more) / self.tries))
+        finally:
+            self.untried += left
 
 
 def film_offsets(search: FitSearch, x: Real) -> list[StartPoint]:

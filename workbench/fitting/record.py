@@ -121,7 +121,7 @@ def refusals(result: FitResult) -> tuple[str, ...]:
         if not e.parameter.low <= e.value <= e.parameter.high:
             reasons.append(f"{e.parameter.name} ended at {e.value:.4g} {e.parameter.unit}, outside "
                            f"{e.parameter.low:.4g} to {e.parameter.high:.4g}, all that such a material may have.")
-    short = result.interrupted or (result.untried > 0 and result.further < TRIES)
+    short = result.untried > 0 and (result.interrupted or result.further < TRIES)
     for match in result.recordings:
         left, noise = match.after, match.noise
         if noise.stated and not noise.ratio <= NOISY:
@@ -131,7 +131,8 @@ def refusals(result: FitResult) -> tuple[str, ...]:
         elif short and not noise.explains(left.rms_log_residual):
             reasons.append(f"{match.name}: {100.0 * left.rms_log_residual:.2g} % of Z remains (rms), more than noise, "
                            f"and a better optimum was searched for by {result.further} further descents only: "
-                           f"{'let the search end' if result.interrupted else f'try `--tries {TRIES}`'}.")
+                           f"{'let the search end' if result.interrupted else f'try `--tries {TRIES}`'}. Other "
+                           f"remedies: {'; '.join(_remedies(result))}.")
             continue
         else:
             continue
@@ -175,9 +176,12 @@ def tried(
     """The result with at `most` so many other ceramics tried.
 
     They are tried as a whole if it is refused and its fixed parameters mattered. Each is tried by a descent on the
-    search mesh, with fixed parameters of its own; one without a prediction is omitted.
+    search mesh, with fixed parameters of its own; one without a prediction is omitted. An accepted fit whose residual
+    is more than noise has a finding on it.
     """
-    if result.interrupted or not refusals(result) or not any(h.part > MATTERED for h in result.held):
+    if not refusals(result):
+        return replace(result, findings=(*result.findings, *reservations(result)))
+    if result.interrupted or not any(h.part > MATTERED for h in result.held):
         return result
     own, entries = prepared.material.name, list[TriedEntry]()
     for name in other_ceramics(prepared, registry)[:most]:
@@ -189,10 +193,22 @@ def tried(
             for each in (whole.thinned(SEARCHED_POINTS) for whole in prepared.coarse)]
         free = [material_parameter(recordings[0].problem, own, p.parsed.local)
                 if p.is_material and p.parsed.owner == own else p for p in prepared.parameters]
-        search = FitSearch(Objective.of(recordings, free, tolerance=COARSE))
-        with suppress(*NO_END):
-            entries.append(TriedEntry(name, search.descend(search.centre).residual.data.rms))
+        try:
+            search = FitSearch(Objective.of(recordings, free, tolerance=COARSE))
+            with suppress(*NO_END):
+                entries.append(TriedEntry(name, search.descend(search.centre).residual.data.rms))
+        except KeyboardInterrupt:
+            result = replace(result, interrupted=True)
+            break
     return replace(result, entries=tuple(sorted(entries, key=lambda each: each.rms)))
+
+
+def reservations(result: FitResult) -> tuple[str, ...]:
+    """Statements on an accepted fit whose residual is more than noise."""
+    return tuple(f"{match.name}: {100.0 * match.after.rms_log_residual:.2g} % of Z remains (rms), which is more than "
+                 "noise: the model lacks something, and values may be further off than their intervals. Remedies: "
+                 f"{'; '.join(_remedies(result))}."
+                 for match in result.recordings if not match.noise.explains(match.after.rms_log_residual))
 
 
 def held_names(result: FitResult) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.mesh import MeshError
+from workbench.files.quantities import shown_number
 from workbench.fitting.covariance import covariance_root
 from workbench.fitting.held import NARROWED, HeldNumber, held_moves, judge_held
 from workbench.fitting.measurement_model import CLOCK, log_ratio, rms, through_bench
@@ -148,7 +149,8 @@ def estimate_uncertainty(
             float(min(high, parameter.high)), method, bound, narrowing * NARROWED <= 1.0, narrowing, float(of_held[i])))
     undetermined = _undetermined(search, x, information)
     statements = _statements(estimates, undetermined)
-    conditioned = [f"{e.parameter.name} at {number:.5g}" for e, number in zip(estimates, alone, strict=True)
+    conditioned = [f"{e.parameter.name} at {shown_number(number, e.parameter.unit)}"
+                   for e, number in zip(estimates, alone, strict=True)
                    if e.at_bound and "bound" not in e.at_bound]
     if conditioned:
         statements.append(f"The data alone, without that condition, would put {', '.join(conditioned)}.")
@@ -192,9 +194,9 @@ def _bound(search: FitSearch, x: Real, index: int) -> str:
     """The active bound or inequality of a parameter."""
     low, high, near = search.low[index], search.high[index], AT_BOUND * (search.high[index] - search.low[index])
     if x[index] - low < near:
-        return f"lower bound {low:.4g}"
+        return f"lower bound {shown_number(low, search.parameters[index].unit)}"
     if high - x[index] < near:
-        return f"upper bound {high:.4g}"
+        return f"upper bound {shown_number(high, search.parameters[index].unit)}"
     return next((inequality.name for inequality in search.inequalities
                  if inequality.slopes[index].any() and inequality.margin(x) < ACTIVE), "")
 
@@ -378,12 +380,14 @@ def _statements(estimates: Sequence[ParameterEstimate], undetermined: Sequence[D
     result = []
     for estimate in estimates:
         if estimate.at_bound:
-            beyond = estimate.parameter.beyond if "bound" in estimate.at_bound else ""
+            beyond = "" if "bound" not in estimate.at_bound else estimate.parameter.beyond or (
+                "the end of its range: another --material begins elsewhere" if estimate.parameter.is_material else "")
             result.append(f"{estimate.parameter.name} is at an active bound: {estimate.at_bound}"
                           f"{beyond and f', {beyond}'}.")
         if not estimate.determined and not estimate.parameter.nuisance:
-            result.append(f"{estimate.parameter.name} is not determined by these data: its interval is that of the "
-                          f"prior narrowed to {100 * min(1.0, estimate.narrowing):.0f} %.")
+            interval = ("is no narrower than that of the prior" if estimate.narrowing >= 1.0 else
+                        f"is that of the prior narrowed to {100 * estimate.narrowing:.0f} %")
+            result.append(f"{estimate.parameter.name} is not determined by these data: its interval {interval}.")
     for direction in undetermined:
         listed = ", ".join(f"{share:+.2f} {name}" for name, share in direction.shares[:6])
         symmetry = direction.symmetry and f", the {direction.symmetry}"
