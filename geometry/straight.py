@@ -175,12 +175,17 @@ def straight_findings(measure: Measure, electrodes: Electrodes) -> tuple[str, ..
     found = []
     if "symmetry" in measure.assumed:
         found.append('the chip states no symmetry: the field is even, so it has no half-wave modes across the channel; '
-                     'symmetry = "odd" (a split electrode at +V and -V) or "none" under [chip] includes them, "even" '
-                     "confirms the assumption")
+                     'symmetry = "odd" under [chip] includes them (a split electrode at +V and -V), and so does "none" '
+                     'with halves = ["+", "-"]; "even" confirms the assumption')
     if "length" in measure.assumed:
         found.append("the chip states no length: Z, currents, powers and heat are for 1 m of it; state the length "
                      'under [chip], such as length = "35 mm". E_ac, temperatures and times at a stated voltage do not '
                      "depend on it")
+    if electrodes.live_disc.inner_radius is not None and not (
+            are_opposite(measure, electrodes) or (electrodes.halves and "0" in electrodes.halves)):
+        found.append("both halves of the live electrode have the same voltage, in spite of the gap between them: the "
+                     'field is even, without half-wave modes across the channel; symmetry = "odd", or halves = ["+", '
+                     '"-"] beside symmetry = "none", drives them')
     if electrodes.wiring == BETWEEN:
         found.append("one amplifier drives the chip between the halves of its electrode: the voltage is that between "
                      "them, with half of it on each against ground, and Z is the impedance between them")

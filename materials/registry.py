@@ -186,7 +186,7 @@ class Registry:
         if siblings:
             near = tuple(siblings) if len(siblings) <= 3 else nearest_names(name, siblings)
             raise InputError("materials", "name", name, one_of(siblings, name), near)
-        raise InputError("materials", "name", name, _unknown(len(known)), nearest_names(name, known))
+        raise InputError("materials", "name", name, _unknown(), nearest_names(name, known))
 
     def _default(self, material: str, files: Mapping[str, Path]) -> str:
         """The full name for a material's name alone."""
@@ -194,7 +194,7 @@ class Registry:
         entries = entries or sorted(set(_unversioned(name for name in files if name.split("/")[0] == material)))
         if not entries:
             known = {name.split("/")[0] for name in files}
-            raise InputError("materials", "name", material, _unknown(len(known)), nearest_names(material, known))
+            raise InputError("materials", "name", material, _unknown(), nearest_names(material, known))
         if len(entries) == 1:
             return entries[0]
         declared = [name for name in entries if name in files and read_toml(files[name]).get("default") is True]
@@ -213,9 +213,9 @@ def user_registry(further: Iterable[Path | str] = (), *, inviscid: bool = False)
     return Registry((*([own] if own.is_dir() else []), *rest), inviscid=inviscid)
 
 
-def _unknown(count: int) -> str:
+def _unknown() -> str:
     """Message for a material that is in none of the folders."""
-    return (f"one of the {count} names that `workbench materials list` shows, or one of a folder of your own, given by "
+    return ("one of the names that `workbench materials list` shows, or one of a folder of your own, given by "
             "--materials DIR (in Python registry=wb.Registry(DIR))")
 
 

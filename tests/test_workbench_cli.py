@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import subprocess
 import sys
 import warnings
@@ -17,6 +18,7 @@ from workbench.commands import export as export_command
 from workbench.commands.options import command_parser
 from workbench.fem.solve import NotConverged
 from workbench.files.errors import InputError
+from workbench.jobs.workers import check_jobs
 from workbench.physics.term import ModelError
 
 CHIP = str(Path(__file__).resolve().parent.parent / "geometry" / "chips" / "disc_20x2.toml")
@@ -177,6 +179,25 @@ def test_a_script_without_a_guard_may_call_the_command(tmp_path: Path) -> None:
     # Nothing that another library has to say to programmers.
     assert "Warning" not in done.stderr
     assert (tmp_path / "out" / "cad.png").is_file()
+
+
+def test_more_jobs_than_the_machine_can_hold_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    campaign = str(Path(CHIP).parent / "small_campaign" / "campaign.toml")
+    assert main(["diagnose", campaign, "--jobs", "100000", "-o", str(tmp_path / "out")]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "--jobs: received 100000; expected at most 8, 4 for each core of this machine" in said
+    assert not (tmp_path / "out").exists()
+    check_jobs(100, source="study", elsewhere=True)
+
+
+def test_a_pipe_is_no_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    assert main(["compare", str(tmp_path / "pipe.csv"), CHIP, "-o", str(tmp_path / "out")]) == 2
+    assert "this is a pipe or a device, which can be read only once: save its content" in " ".join(
+        capsys.readouterr().err.split())
 
 
 @pytest.mark.parametrize("command", [["study"], ["design"], ["diagnose"], ["tolerance"], ["fit", "batch"]])

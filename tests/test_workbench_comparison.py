@@ -105,6 +105,10 @@ def test_a_simulation_farther_than_a_plain_capacitor_is_not_silent() -> None:
     assert "is 10 times that of the recording" in text
     assert "a probe or divider of another ratio" in text
     assert causes(Spectrum(SWEEP, 0.9 * MEASURED.impedance), circuit) == []
+    # A resonance far away and a factor: a factor with which nothing agrees is no cause.
+    elsewhere = Spectrum(SWEEP, 0.2 * bvd_impedance(SWEEP, **CIRCUIT | {"motional_capacitance": 0.5 * CIRCUIT[
+        "motional_capacitance"]}))
+    assert not any("times that of the recording" in text for text in causes(elsewhere, circuit))
     # No loss is blamed for phases in doubt.
     sharper = Spectrum(SWEEP, bvd_impedance(SWEEP, **CIRCUIT | {"motional_resistance": 4.0}))
     assert "assumed loss" in causes(sharper, circuit)[0]

@@ -217,6 +217,14 @@ def test_wirings_off_the_middle_and_halves_of_round_chips_are_told(small_chip: C
         replace(small_chip, electrodes=Electrodes(halves=("+", "-")))
 
 
+@pytest.mark.parametrize(("symmetry", "halves", "said"), [
+    ("odd", "", 0), ("even", "", 1), ("none", "", 1), ("none", "+-", 0), ("none", "+0", 0)])
+def test_a_gap_between_halves_of_one_voltage_is_said(symmetry: str, halves: str, said: int) -> None:
+    found = split(symmetry, halves)
+    assert sum("both halves of the live electrode have the same voltage" in text
+               for text in straight_findings(found.measure, found.electrodes)) == said
+
+
 def test_a_length_and_a_symmetry_that_nobody_stated_are_said_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from shlex import quote
 
 from geometry.operating_point import parse_operating_point
 from workbench.files.errors import InputError, file_error, nearest_files
@@ -51,6 +52,8 @@ def check_early(options: argparse.Namespace) -> None:
             continue  # an option of the live view, which names it
         if isinstance(path, Path) and not path.exists():
             raise file_error(path, "an existing file", nearest_files(path, _of_kind(path)))
+        if isinstance(path, Path) and not (path.is_file() or path.is_dir()):
+            raise file_error(path, "a file; this is a pipe or a device, which can be read only once: save its content")
     for key, (field, dimension) in QUANTITIES.items():
         text = getattr(options, key, None)
         if isinstance(text, str):
@@ -61,7 +64,7 @@ def check_early(options: argparse.Namespace) -> None:
     if jobs is not None:
         from workbench.jobs.workers import check_jobs
 
-        check_jobs(jobs, source="command line", field="--jobs")
+        check_jobs(jobs, source="command line", field="--jobs", elsewhere=getattr(options, "dask", None) is not None)
     chip, recording = getattr(options, "chip", None), getattr(options, "recording", None)
     if isinstance(chip, Path) and isinstance(recording, Path):
         check_order(recording, chip)
@@ -120,14 +123,14 @@ def check_diagnosed(options: argparse.Namespace) -> None:
         if chip is not None:
             check_order(given, chip)
         raise InputError("command line", "recording", str(given), "a campaign file, or a recording; this is a chip "
-                         f"file: `workbench diagnose RECORDING --chip {given}`")
+                         f"file: `workbench diagnose RECORDING --chip {quote(str(given))}`")
     if not _is_toml(given):
         if chip is None:
             raise InputError("command line", "--chip", None, f"the chip file that {given} is a recording of, "
                              "--chip CHIP.toml; or, in place of the recording, a campaign file, which is TOML")
         if _is_toml(chip) and not _is_chip_file(chip):
             raise InputError("command line", "--chip", str(chip), "a chip file; a campaign file, which names its "
-                             f"recordings, stands alone: `workbench diagnose {chip}`")
+                             f"recordings, stands alone: `workbench diagnose {quote(str(chip))}`")
         return
     for key, option in OF_ONE_RECORDING.items():
         value = getattr(options, key)

@@ -434,7 +434,7 @@ def _fit(sub: argparse.ArgumentParser) -> None:
                               '"5um,20um,50um" (default: none)')
     batch = kind("batch", "fit many recordings, several at a time; a further run does only the unfinished ones")
     batch.add_argument("file", type=Path, metavar="FILE.toml",
-                       help="lists the recordings; see workbench/fitting/batch.py")
+                       help="lists the recordings: see the page on fits")
     with_search(batch)
     batch.add_argument("--again", action="store_true", help="repeat finished fits (default: only the others)")
     batch.add_argument("--only", metavar="NAME", help="fit this one, and write no summary (default: all)")
@@ -529,8 +529,8 @@ def _bench(sub: argparse.ArgumentParser) -> None:
 
 
 def _measure(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("bench", type=Path, metavar="BENCH.toml", help="instruments, resistor, sweep, drive, limits; see "
-                     "workbench/bench/setup.py")
+    sub.add_argument("bench", type=Path, metavar="BENCH.toml", help="instruments, resistor, sweep, drive, limits: see "
+                     "the page on the bench")
     sub.add_argument("--resume", action="store_true",
                      help="continue an interrupted run (default: RUN.h5 must not exist)")
     sub.add_argument("-o", "--output", type=Path, required=True, metavar="RUN.h5",

@@ -97,7 +97,7 @@ def optimise(
     started = time.perf_counter()
     if jobs is None:
         jobs = 1 if executor is None else goal.search.starts
-    check_jobs(jobs, source="optimise")
+    check_jobs(jobs, source="optimise", elsewhere=executor is not None)
     solver = ChipSolver(goal, registry, accuracy) if solver is None else solver
     spread = scenario_sample(goal, registry)
     report = by_part(progress)

@@ -63,7 +63,7 @@ def study(
     """
     expect(plan, Study, reader="read_study", source="study", field="plan")
     jobs = os.cpu_count() or 1 if jobs is None else jobs
-    check_jobs(jobs, source="study")
+    check_jobs(jobs, source="study", elsewhere=executor is not None)
     models, show = models or ReducedModels(), by_part(progress)
     parts = parts_of(plan)
     place = folder if isinstance(folder, OutputFolder) else Path(folder)

@@ -190,7 +190,7 @@ def tolerance(
     """
     expect(chip, Chip, reader="read_chip", source="tolerance", field="chip")
     started = time.perf_counter()
-    check_jobs(jobs, source="tolerance")
+    check_jobs(jobs, source="tolerance", elsewhere=executor is not None)
     say = progress or no_progress
     device = fill(chip, state, registry)
     known = uncertainty if isinstance(uncertainty, Uncertainty) else stated_uncertainty(

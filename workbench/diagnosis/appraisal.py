@@ -58,7 +58,7 @@ def diagnose(
         ValueError: no time.
         RuntimeError: a process that shares the work ended before it was done.
     """
-    check_jobs(jobs, source="diagnose")
+    check_jobs(jobs, source="diagnose", elsewhere=executor is not None)
     expect(campaign, Campaign, reader="read_campaign", source="diagnose", field="campaign")
     if minutes is not None and not minutes > 0.0:
         raise ValueError(f"minutes {minutes}: expected more than no time")

@@ -11,6 +11,7 @@ Results come as they are finished: an interrupted loop has all of them so far.
 
 from __future__ import annotations
 
+import os
 import pickle
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
@@ -157,10 +158,21 @@ class Processes(ExecutorWorkers):
                 process.end()
 
 
-def check_jobs(jobs: object, *, source: str, field: str = "jobs") -> None:
-    """Raise InputError unless the number of jobs is one or more."""
+#: Largest number of processes for each core of this machine. Doubled, each has half of the memory, and none is faster.
+MOST_PER_CORE = 4
+
+
+def check_jobs(jobs: object, *, source: str, field: str = "jobs", elsewhere: bool = False) -> None:
+    """Raise InputError unless the number of jobs is one or more, and not too many.
+
+    The limit of this machine holds unless they run `elsewhere`, on a cluster.
+    """
     if isinstance(jobs, bool) or not isinstance(jobs, Integral) or jobs < 1:
         raise InputError(source, field, jobs, "a whole number, one or more")
+    cores = os.cpu_count() or 1
+    if not elsewhere and int(jobs) > MOST_PER_CORE * cores:
+        raise InputError(source, field, jobs, f"at most {MOST_PER_CORE * cores}, {MOST_PER_CORE} for each core of this "
+                         "machine: every job is a process with memory of its own")
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -88,10 +89,11 @@ def _plain_percent(comparison: Comparison) -> float:
 def _level(comparison: Comparison) -> list[str]:
     """The finding, if any, on |Z| off by a factor.
 
-    The factor is larger than the distance of the recording from a plain capacitor and from a constant.
+    The factor is larger than the distance of the recording from a plain capacitor and from a constant, and the scaled
+    recording is nearer to the simulation than to these.
     """
     factor, ours = comparison.best_factor, comparison.scaled_percent[0]
-    if 100.0 * (max(factor, 1.0 / factor) - 1.0) < _plain_percent(comparison):
+    if not ours < _plain_percent(comparison) <= 100.0 * (max(factor, 1.0 / factor) - 1.0):
         return []
     apart = UNITS_APART.get(round(np.log10(factor) / 3.0))
     text = (f"|Z| of the simulation is {factor:.4g} times that of the recording, with a MAPE of {ours:.3g} % once the "
@@ -108,8 +110,10 @@ def what_next(comparison: Comparison, chip: Path, recording: Path, state: str) -
     if comparison.reduced_chi_square is not None and comparison.reduced_chi_square < AGREES:
         return ("The simulation agrees with the recording within their uncertainties: there is nothing here to fit or "
                 "to diagnose.")
-    return (f"Next: `workbench sensitivity {chip} -o out/sensitivity` ranks the parameters that move this spectrum. "
-            f"`workbench diagnose {recording} --chip {chip} --state {state} -o out/diagnosis` finds the parameters, or "
+    of_chip, of_recording, of_state = (quote(str(each)) for each in (chip, recording, state))
+    return (f"Next: `workbench sensitivity {of_chip} -o out/sensitivity` ranks the parameters that move this spectrum. "
+            f"`workbench diagnose {of_recording} --chip {of_chip} --state {of_state} -o out/diagnosis` finds the "
+            "parameters, or "
             "the physics missing in the model, that explain the difference. Several states of one device give more "
             "evidence, in a campaign file (docs/diagnosis.md has one). `workbench fit` finds the material of a bare "
             "transducer, or of a polymer on one.")

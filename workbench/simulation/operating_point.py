@@ -82,7 +82,7 @@ def operating_point(
         frequency, reason = peak.frequency, f"where the sound in the cavity has most energy under {drive}"
         if energy is not None and float(energy.under(drive).max()) > HIGHER * peak.energy_density:
             reason = (f"the largest peak of the energy in the cavity under {drive}, which is larger still towards an "
-                      "end of the band")
+                      "end of the band: a wider band (--from, --to, or in the chip file) may hold a higher peak")
     elif f0 is not None:
         frequency, reason = f0, "f0, the smallest |Z|"
         if energy is not None and wanted != AT_F0:
