@@ -17,6 +17,7 @@ from unittest.mock import patch
 
 from workbench.bench.setup import read_bench
 from workbench.campaign.campaign import read_campaign
+from workbench.campaign.observation import OBSERVABLES
 from workbench.files.quantities import UNITS
 from workbench.files.tables import FileTable
 
@@ -114,8 +115,8 @@ CAMPAIGN: Mapping[str, Mapping[str, str]] = {
         "columns": "a column map, where the recording's headings are not recognised",
         "without_outliers": "`true`: leaves out the points that the findings on the recording name (page Recordings)",
         "known": "known parameters of this state alone, by name as in `[known]`",
-        "observations": "beside the impedance, by name: `focusing_time` (s), `temperature_rate` (K/s at switch-on, of "
-                        "the whole chip), each with `value`, `uncertainty` (relative), `drive` and `frequency`",
+        "observations": "beside the impedance, by name: " + ", ".join(f"`{name}`" for name in OBSERVABLES)
+                        + "; each with `value`, `uncertainty` (relative), `drive` and `frequency`, see above",
     },
     "`[known]`, `[states.NAME.known]`": {},
     "`[between]`": {
@@ -153,8 +154,9 @@ TAKES: Mapping[str, str] = {
                     "this file"),
     "load_resistance": _units("resistance"),
     **dict.fromkeys(("name", "state", "gel", "operator", "note"), "one line of text"),
-    "temperature": "one line of text", "band": "a list of two frequencies", "known": "a table",
-    "noise": _units("dimensionless"),
+    "temperature": "one line of text", "band": "a list of two frequencies",
+    "noise": _units("dimensionless"), "observations": "tables, one for each observable",
+    "known": "a table",
 }
 
 
@@ -174,7 +176,7 @@ class Readings:
 def _quantity(dimension: str, default: float | None) -> tuple[str, str]:
     if default is None:
         said = ""
-    elif dimension == "dimensionless":
+    elif dimension in ("dimensionless", "share"):
         said = f"{100.0 * default:g} %"
     else:
         said = f"{default:g} {next(unit for unit, factor in UNITS[dimension].items() if factor == 1.0)}"
@@ -242,8 +244,9 @@ def accepted(found: Readings) -> dict[str, dict[str, tuple[str, str]]]:
         for key in read if listed is None else listed:
             # The list of states and the tables of known numbers have names for keys.
             if listed is not None or key == "defaults":
-                takes = read.get(key) or (TAKES.get(key, "text"), "")
-                keys.setdefault(_title(table), {}).setdefault(key, takes)
+                # The states of the example's chip are no choice for others.
+                own = None if key == "state" else read.get(key)
+                keys.setdefault(_title(table), {}).setdefault(key, own or (TAKES.get(key, "text"), ""))
     return keys
 
 

@@ -1,4 +1,4 @@
-"""Write the tables that are made from the code into the pages, where a reader of the files sees them.
+"""Write tables and programs that are made from the code into the pages, where a reader of the files sees them.
 
     .venv/bin/python docs/tables.py
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -21,10 +22,18 @@ import file_keys  # noqa: E402
 import glossary_page  # noqa: E402
 import material_table  # noqa: E402
 
+
+def example(name: str) -> str:
+    """The program of an example, without its docstring."""
+    program = (HERE.parent / "examples" / f"{name}.py").read_text(encoding="utf-8").split('"""', 2)[2]
+    return f"```py\n{program.strip()}\n```\n"
+
+
 #: Functions that make the tables, in Markdown, by the names in the comments.
 TABLES: Mapping[str, Callable[[], str]] = {
     "chip_keys": chip_keys.page, "plausible": chip_keys.plausible_page, "bench_keys": file_keys.bench_page,
     "campaign_keys": file_keys.campaign_page, "material_table": material_table.page, "glossary": glossary_page.page,
+    **{name: partial(example, name) for name in ("01_first_spectrum", "21_my_chip_my_recording")},
 }
 
 _PLACE = re.compile(r"(<!-- (\w+): made by docs/tables\.py -->\n).*?(<!-- end of (\w+) -->\n)", re.DOTALL)

@@ -163,9 +163,9 @@ MOST_PER_CORE = 4
 
 
 def check_jobs(jobs: object, *, source: str, field: str = "jobs", elsewhere: bool = False) -> None:
-    """Raise InputError unless the number of jobs is one or more, and not too many.
+    """Raise InputError unless the number of jobs is possible.
 
-    The limit of this machine holds unless they run `elsewhere`, on a cluster.
+    It is one or more, and no more than this machine can hold unless they run `elsewhere`, on a cluster.
     """
     if isinstance(jobs, bool) or not isinstance(jobs, Integral) or jobs < 1:
         raise InputError(source, field, jobs, "a whole number, one or more")
