@@ -475,6 +475,12 @@ def test_a_sweep_goes_on_below_words_that_follow_its_first_frequency(repeats: in
     assert "no_rows" in [finding.code for finding in reading.findings]
 
 
+def test_units_in_the_cells_are_no_short_file(tmp_path: Path) -> None:
+    body = "".join(f"{950 + k} kHz,{43 + k} Ohm,-66 deg\n" for k in range(30))
+    with pytest.raises(InputError, match=r"line 2: received '950 kHz,43 Ohm,-66 deg'; expected 3 columns of plain num"):
+        read_recording(written(tmp_path, "Frequency,|Z|,theta\n" + body))
+
+
 def test_many_lines_of_words_within_a_sweep_are_an_error(tmp_path: Path) -> None:
     body = rows(FREQUENCY, Z.real, Z.imag).splitlines(keepends=True)
     path = written(tmp_path, HEAD + body[0] + "retry,abc,foo\n".join(body[1:]))

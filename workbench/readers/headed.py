@@ -49,6 +49,10 @@ def parse_headed(
     known = [understand(heading) for heading in table.headings] or [None] * table.width
     frequencies = [place for place, heading in enumerate(known) if heading and heading.part == "frequency"]
     table = table.with_rows(frequencies[0] if frequencies else 0)
+    if not table.lines and table.content:
+        line, content, _ = table.content[0]
+        raise text.error(line, None, content.strip()[:80], f"{table.width} columns of plain numbers, such as 9.5e5: "
+                         "units stand in the headings")
     if len(table.lines) < 2:
         raise text.error(table.start, None, f"{len(table.lines)} rows of numbers", "at least 2; the file may be cut "
                          "short")
