@@ -338,8 +338,9 @@ class Diagnosis(Shown):
                    f"{effects}.")
 
     def _of_search(self) -> Iterator[str]:
-        unfinished = {loop: each.hypothesis.name for each in self.found.final for loop in each.explanation.unconverged}
-        yield from (f"Not converged for {plain_words(name)}: {loop}." for loop, name in unfinished.items())
+        unfinished = {loop: plain_words(each.hypothesis.name) if each.hypothesis.names else "the known parameters"
+                      for each in self.found.final for loop in each.explanation.unconverged}
+        yield from (f"Not converged for {name}: {loop}." for loop, name in unfinished.items())
         if self.model.others:
             yield f"Not looked at: {'; '.join(self.model.others)}."
         reasons: dict[str, list[str]] = {}

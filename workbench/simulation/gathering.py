@@ -261,8 +261,8 @@ def _gathered(found: Trajectories, first: GatheredAt, critical: Mapping[str, flo
     at = found.focused_at if across else found.levitated_at
     ninety = float(np.quantile(at[np.isfinite(at)], 0.9))
     half = first.half or 0.0
-    sentences = [f"{percent(first.share)} {first.words}: half of these within {time_text(half)}, nine tenths within "
-                 f"{time_text(ninety)}."]
+    halves = f"half of these within {time_text(half)}" if half > 0.0 else "half of these start there"
+    sentences = [f"{percent(first.share)} {first.words}: {halves}, nine tenths within {time_text(ninety)}."]
     if half > SLOW:
         voltage = 2.0 * found.forces.excitation.voltage
         sentences.append(f"This is slow; the force grows with the square of the voltage, so that "
