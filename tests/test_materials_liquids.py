@@ -112,5 +112,5 @@ def test_a_missing_material_names_the_nearest_and_the_folder() -> None:
     assert caught.value.nearest[0] == "glycerol"
     assert "--materials DIR" in caught.value.expected
     assert len(str(caught.value)) < 350
-    with pytest.raises(InputError, match=r"one of the \d+ names that `workbench materials list` shows"):
+    with pytest.raises(InputError, match="one of the names that `workbench materials list` shows"):
         Registry().load("nothing/alike")
