@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from workbench.readers import read_recording
-from workbench.report.comparison import likely_causes
+from workbench.report.comparison import likely_causes, what_next
 from workbench.results.circuit import bvd_impedance
 from workbench.results.comparison import MetricRow, compare
 from workbench.results.merit import figures
@@ -198,3 +198,10 @@ def test_empty_against_filled_chip() -> None:
     assert (f0.measured, f0.simulated) == (figures(empty).f0, figures(filled).f0)
     assert (z_min.measured, z_min.simulated) == pytest.approx((6.119, 4.987), rel=1e-3)
     assert q.difference_percent == pytest.approx(100.0 * (142.63 / 66.627 - 1.0), abs=0.1)
+
+
+def test_suggested_commands_can_be_pasted() -> None:
+    found = compare(Spectrum(SWEEP, 0.5 * MEASURED.impedance), MEASURED)
+    text = what_next(found, Path("my chip.toml"), Path("disc.csv"), "at 40 degC")
+    assert "`workbench sensitivity 'my chip.toml' -o out/sensitivity`" in text
+    assert "`workbench diagnose disc.csv --chip 'my chip.toml' --state 'at 40 degC' -o" in text

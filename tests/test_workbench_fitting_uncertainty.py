@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from workbench.fitting.uncertainty import (
     CHI_SQUARE,
     DEVIATIONS,
     FitUncertainty,
+    _statements,
     estimate_uncertainty,
     leave_bands_out,
     profile,
@@ -217,6 +220,14 @@ def test_the_prior_adds_its_information(small_disc: Problem) -> None:
     assert "bench.phase is not determined by these data: its interval is that of the prior narrowed to 100 %." in \
         estimated.findings
     assert {d.shares[0][0] for d in estimated.undetermined} == {"bench.gain", "bench.phase"}
+    # Fixed constants may widen an interval beyond its prior, and a bound of a material has a unit and a remedy.
+    wide = replace(phase, narrowing=3.7)
+    modulus: Any = SimpleNamespace(name="pla.shear_modulus", beyond="", is_material=True, nuisance=False)
+    stuck = replace(gain, at_bound="upper bound 1.86 GPa", determined=True, parameter=modulus)
+    assert [text.partition("its interval ")[2] or text for text in _statements([wide, stuck], [])] == [
+        "is no narrower than that of the prior.",
+        "pla.shear_modulus is at an active bound: upper bound 1.86 GPa, the end of its range: another --material "
+        "begins elsewhere."]
 
 
 #: Two shapes over the band that are not orthogonal.
