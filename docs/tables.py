@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -22,6 +23,8 @@ import file_keys  # noqa: E402
 import glossary_page  # noqa: E402
 import material_table  # noqa: E402
 
+from workbench.fitting import batch  # noqa: E402
+
 
 def example(name: str) -> str:
     """The program of an example, without its docstring."""
@@ -29,10 +32,18 @@ def example(name: str) -> str:
     return f"```py\n{program.strip()}\n```\n"
 
 
+def batch_file() -> str:
+    """The list of recordings in the docstring of its reader."""
+    indented = re.search(r"(?:^ {4}.*\n|^\n)+", str(batch.__doc__), re.MULTILINE)
+    assert indented is not None
+    return f"```text\n{textwrap.dedent(indented[0]).strip()}\n```\n"
+
+
 #: Functions that make the tables, in Markdown, by the names in the comments.
 TABLES: Mapping[str, Callable[[], str]] = {
     "chip_keys": chip_keys.page, "plausible": chip_keys.plausible_page, "bench_keys": file_keys.bench_page,
     "campaign_keys": file_keys.campaign_page, "material_table": material_table.page, "glossary": glossary_page.page,
+    "batch_file": batch_file,
     **{name: partial(example, name) for name in ("01_first_spectrum", "21_my_chip_my_recording")},
 }
 

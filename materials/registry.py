@@ -39,6 +39,9 @@ from workbench.files.names import MARKS, check_name
 from workbench.files.tables import read_toml
 
 PACKAGE_DATA = Path(__file__).parent / "data"
+#: The expectation about a material that is in none of the folders.
+_KNOWN = ("one of the names that `workbench materials list` shows, or one of a folder of your own, given by "
+          "--materials DIR (in Python registry=wb.Registry(DIR))")
 _BIBLIOGRAPHY_KEY = re.compile(r"^\s*@\w+\s*\{\s*([^,\s]+)\s*,", re.MULTILINE)
 
 
@@ -186,7 +189,7 @@ class Registry:
         if siblings:
             near = tuple(siblings) if len(siblings) <= 3 else nearest_names(name, siblings)
             raise InputError("materials", "name", name, one_of(siblings, name), near)
-        raise InputError("materials", "name", name, _unknown(), nearest_names(name, known))
+        raise InputError("materials", "name", name, _KNOWN, nearest_names(name, known))
 
     def _default(self, material: str, files: Mapping[str, Path]) -> str:
         """The full name for a material's name alone."""
@@ -194,7 +197,7 @@ class Registry:
         entries = entries or sorted(set(_unversioned(name for name in files if name.split("/")[0] == material)))
         if not entries:
             known = {name.split("/")[0] for name in files}
-            raise InputError("materials", "name", material, _unknown(), nearest_names(material, known))
+            raise InputError("materials", "name", material, _KNOWN, nearest_names(material, known))
         if len(entries) == 1:
             return entries[0]
         declared = [name for name in entries if name in files and read_toml(files[name]).get("default") is True]
@@ -211,12 +214,6 @@ def user_registry(further: Iterable[Path | str] = (), *, inviscid: bool = False)
     given = [Path(folder) for folder in ((further,) if isinstance(further, str | Path) else further)]
     rest = [folder for folder in given if folder.resolve() != own.resolve()]
     return Registry((*([own] if own.is_dir() else []), *rest), inviscid=inviscid)
-
-
-def _unknown() -> str:
-    """Message for a material that is in none of the folders."""
-    return ("one of the names that `workbench materials list` shows, or one of a folder of your own, given by "
-            "--materials DIR (in Python registry=wb.Registry(DIR))")
 
 
 def _unversioned(names: Iterable[str]) -> list[str]:

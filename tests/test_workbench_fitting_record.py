@@ -215,7 +215,7 @@ def test_the_real_disc_passes_and_another_size_does_not(shared: Path) -> None:
 def test_the_record_says_everything_and_is_json(
     result: FitResult, prepared: Prepared, sources: tuple[Source, ...], folder: Path
 ) -> None:
-    record = fit_record(result, prepared, sources, date=DATE, saved_as="pzt4/x@1")
+    record = fit_record(result, prepared, sources, date=DATE)
     assert json.loads(json.dumps(record, allow_nan=False)) == record
     assert record["accepted"]
     assert record["algorithm"] == "joint"

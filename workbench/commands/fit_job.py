@@ -34,7 +34,6 @@ from workbench.fitting.prepare import (
 from workbench.fitting.record import (
     Source,
     paper_result,
-    refusals,
     registry_entry,
     source,
     tried,
@@ -86,10 +85,10 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
             result = _as_published(prepared, starts, progress)
     progress("writing", 0.95)
     date = datetime.now(UTC)
-    refused = bool(refusals(result))
-    # An interruption of what follows keeps the fit; without a key, a batch repeats it.
-    record = fit_record(result, prepared, sources, date=date)
-    write_json(folder / "fit.json", {"key": None, "name": job.name, **record})
+    record = {"key": None, "name": job.name, **fit_record(result, prepared, sources, date=date)}
+    refused = not record["accepted"]
+    # The fit is on disk before the next steps, which may be interrupted. A batch repeats a fit without a key.
+    write_json(folder / "fit.json", record)
     gel: tuple[GelCase, ...] = ()
     if settings.gel_thicknesses:
         gel = gel_study(prepared, registry, numbers={e.parameter.name: e.value for e in result.estimates},
@@ -108,13 +107,11 @@ def run_job(job: Job, settings: Settings, folder: Path, *, progress: Progress = 
         saved_as = save_fit(entry, job.save, folder=kept)
         saved_before = saved_as in before
     try:
-        # The fit of a batch that was interrupted is repeated.
-        record = {"key": None if result.interrupted else job_key(job, settings), "name": job.name,
-                  **fit_record(result, prepared, sources, date=date, saved_as=saved_as)}
+        record |= {"key": None if result.interrupted else job_key(job, settings), "saved_as": saved_as}
         if gel:
             record["gel_study"] = gel_record(gel)
         write_fit_report(folder, job.name, result, prepared, sources, gel=gel, saved_as=saved_as)
-        # Written last: if it exists, all files exist.
+        # Written last: with the key, all files exist.
         write_json(folder / "fit.json", record)
     except BaseException as error:
         if saved_as is not None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from materials.kinds import Solid
 from materials.passivity import smallest_dissipation
 from workbench.files.errors import InputError
-from workbench.files.quantities import shown_factor, shown_unit
+from workbench.files.quantities import shown_number
 from workbench.model.numbers import Number, ParameterName, Stated, placed
 
 Real = NDArray[np.float64]
@@ -190,4 +190,4 @@ def amount(name: str, value: float) -> str:
     unit = ParameterName.parse(name).unit
     if unit == "m":
         return f"{value * 1e6:.3g} um"
-    return f"{value * shown_factor(unit):.3g} {shown_unit(unit)}".strip()
+    return shown_number(value, unit, digits=3)

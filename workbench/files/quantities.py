@@ -112,9 +112,9 @@ def shown_factor(unit: str) -> float:
     return SHOWN.get(unit, (unit, 1.0))[1]
 
 
-def shown_number(value: float, unit: str) -> str:
+def shown_number(value: float, unit: str, *, digits: int = 4) -> str:
     """A `value` (SI) as text in its unit for display."""
-    return f"{value * shown_factor(unit):.4g} {shown_unit(unit)}".rstrip()
+    return f"{value * shown_factor(unit):.{digits}g} {shown_unit(unit)}".rstrip()
 
 
 def message_unit(value: float, kind: str) -> tuple[str, float]:

@@ -149,10 +149,10 @@ class FitMultistart:
     ) -> None:
         """Try the `offsets` of x (p,) or a better end, then `samples`."""
         starts = () if self.refined.is_explained else (*offsets(x), *samples)
-        done, left = len(self.trials), len(starts)
+        done, before = len(self.trials), self.untried
+        more, self.untried = self.tries - done, before + len(starts)
 
         def following(trial: Trial[FitEnd], waiting: list[StartPoint]) -> Sequence[StartPoint]:
-            nonlocal left
             self.trials.append(trial)
             end = trial.end
             if (end is not None and end.refined is not None
@@ -163,15 +163,11 @@ class FitMultistart:
                 waiting = [*again, *(each for each in waiting if each in samples)]
             if self.refined.is_explained:
                 waiting = []
-            left = len(waiting)
+            self.untried = before + len(waiting)
             return waiting
 
-        more = self.tries - done
-        try:
-            multistart(starts, attempt, refused=NO_END, tries=more, following=following,
-                       progress=lambda label, share: self.progress(label, (done + share * more) / self.tries))
-        finally:
-            self.untried += left
+        multistart(starts, attempt, refused=NO_END, tries=more, following=following,
+                   progress=lambda label, share: self.progress(label, (done + share * more) / self.tries))
 
 
 def film_offsets(search: FitSearch, x: Real) -> list[StartPoint]:

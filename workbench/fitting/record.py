@@ -21,7 +21,7 @@ from materials.registry import Registry
 from materials.saving import fitted
 from materials.value import Value
 from workbench.fem.operators import assemble
-from workbench.files.quantities import finite, shown_factor, shown_unit
+from workbench.files.quantities import finite, shown_number
 from workbench.fitting.derived import Derived, derived_moduli, moduli_of
 from workbench.fitting.joint import FitResult, Match, TriedEntry
 from workbench.fitting.multistart import TRIES, Start
@@ -306,8 +306,7 @@ def _interval(part: str, estimate: ParameterEstimate | None) -> dict[str, Any]:
 def _sample(chip: Chip, result: FitResult) -> dict[str, str]:
     sample = {"chip": chip.name}
     for name, dimension in chip.dimensions().items():
-        unit = ParameterName.parse(name).unit
-        sample[name] = f"{dimension.value * shown_factor(unit):.6g} {shown_unit(unit)}"
+        sample[name] = shown_number(dimension.value, ParameterName.parse(name).unit, digits=6)
     sample |= {f"{layer.region}.density": f"{layer.density:g} kg/m^3" for layer in chip.layers
                if layer.density is not None}
     for e in result.estimates:

@@ -121,7 +121,6 @@ def _next(frequencies: Real, change: Real, done: list[int]) -> int:
     return int(np.argmax(apart * change))
 
 
-
 def _projected(system: System, loads: Real, basis: Real, factors: Complex, error: float) -> LoadResponse:
     """The response on a basis (free, r)."""
     operators, rank = system.operators, basis.shape[1]

@@ -113,10 +113,9 @@ def what_next(comparison: Comparison, chip: Path, recording: Path, state: str) -
     of_chip, of_recording, of_state = (quote(str(each)) for each in (chip, recording, state))
     return (f"Next: `workbench sensitivity {of_chip} -o out/sensitivity` ranks the parameters that move this spectrum. "
             f"`workbench diagnose {of_recording} --chip {of_chip} --state {of_state} -o out/diagnosis` finds the "
-            "parameters, or "
-            "the physics missing in the model, that explain the difference. Several states of one device give more "
-            "evidence, in a campaign file (docs/diagnosis.md has one). `workbench fit` finds the material of a bare "
-            "transducer, or of a polymer on one.")
+            "parameters, or the physics missing in the model, that explain the difference. Several states of one "
+            "device give more evidence, in a campaign file (docs/diagnosis.md has one). `workbench fit` finds the "
+            "material of a bare transducer, or of a polymer on one.")
 
 
 def comparison_record(comparison: Comparison) -> dict[str, Any]:

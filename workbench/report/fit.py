@@ -193,9 +193,9 @@ def _pictures(folder: Path, result: FitResult, prepared: Prepared) -> list[Pictu
 
 
 def fit_record(
-    result: FitResult, prepared: Prepared, sources: Sequence[Source], *, date: datetime, saved_as: str | None = None
+    result: FitResult, prepared: Prepared, sources: Sequence[Source], *, date: datetime
 ) -> dict[str, Any]:
-    """A fit for a JSON file, in SI or with units."""
+    """An unsaved fit for a JSON file, in SI or with units."""
     refused = refusals(result)
     return {
         **record(prepared, "kind chip=chip.name state material=material.name"),
@@ -208,7 +208,7 @@ def fit_record(
                          "starts { label rms_log_residual=rms outcome steps begin end } "
                          "bands_left_out=bands { recording low_hz high_hz fitted_rms predicted_rms }"),
         "software": software(), "date": date.isoformat(), "accepted": not refused, "refusals": list(refused),
-        "saved_as": saved_as, "mape_percent": float(np.mean([m.after.mape_percent for m in result.recordings])),
+        "saved_as": None, "mape_percent": float(np.mean([m.after.mape_percent for m in result.recordings])),
         "rms_log_residual": rms_log_residual(result), "confidence": CONFIDENCE,
         "parameters": list(map(parameter_record, result.estimates)),
         "derived": record(derived_quantities(result, prepared), "name value unit low high standard_error"),

@@ -15,7 +15,7 @@ from workbench.design.sensitivity import SHARE
 from workbench.design.tolerance import Tolerance
 from workbench.design.uncertainty import amount
 from workbench.design.yields import CONFIDENCE, RequirementYield
-from workbench.files.quantities import shown_factor, shown_unit
+from workbench.files.quantities import shown_number
 from workbench.files.writing import replacing
 from workbench.model.numbers import CUT, Number
 from workbench.render.tolerances import draw_tolerance
@@ -108,8 +108,8 @@ def sensitivities_table(found: Tolerance) -> TextTable:
 def inputs_table(found: Tolerance) -> TextTable:
     """Every uncertain number, its law and its source."""
     return table("number | mean | uncertainty | law | source", (
-        (each.name, f"{each.value * shown_factor(each.unit):.6g} {shown_unit(each.unit)}".strip(), law_in_words(each),
-         each.law, each.origin) for each in found.uncertainty.inputs))
+        (each.name, shown_number(each.value, each.unit, digits=6), law_in_words(each), each.law, each.origin)
+        for each in found.uncertainty.inputs))
 
 
 def sobol_table(found: Tolerance) -> TextTable:
